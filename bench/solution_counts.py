@@ -13,12 +13,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
+
+from hexapod_ends import find_ends
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
@@ -28,7 +33,7 @@ from parallel_cal.model.shelf import load_mechanism
 
 STUDY = Path(__file__).resolve().parents[1] / "docs" / "solution_counts.jsonl"
 SEED = 5103
-STARTS, ITERATIONS = 300, 60
+STARTS = 300
 CLOSED_M = 1e-9  # m by which a listed solution may miss a rod
 SAME = 1e-6  # m and rad: two solutions that are nearer are one
 
@@ -60,30 +65,13 @@ def count_hexapod(number: int) -> Count:
     found = direct_all(model, length - zero)
     legs = found.position[:, None] + heads @ found.rotation.swapaxes(1, 2) - feet
     gaps = np.abs(np.linalg.norm(legs, axis=-1) - length).max(axis=1)
-    r, R = _find_ends(feet, heads, length, rng)
+    r, R = find_ends(feet, heads, length, rng, STARTS)
     apart = np.abs(r[:, None] - found.position).max(axis=-1)
     apart += np.abs(R[:, None] - found.rotation).max(axis=(-1, -2))
     unlisted = int((apart.min(axis=1) > SAME).sum())
     reached = int((apart.min(axis=0) < SAME).sum())
     wrong = int((gaps > CLOSED_M).sum())
     return Count("hexapod", number, len(found), bool(found.complete), reached, unlisted, wrong)
-
-
-def _find_ends(
-    feet: np.ndarray, heads: np.ndarray, length: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the poses at which Newton's method ends, from random starts."""
-    r, R = rng.uniform(-1, 1, (STARTS, 3)), rotation_matrix(rng.normal(0, 2, (STARTS, 3)))
-    for _ in range(ITERATIONS):
-        arm = heads @ R.swapaxes(1, 2)
-        leg = r[:, None] + arm - feet
-        error = ((leg**2).sum(axis=-1) - length**2) / 2
-        slopes = np.concatenate([leg, np.cross(arm, leg)], axis=-1)
-        step = -np.linalg.solve(slopes, error[..., None])[..., 0]
-        step /= np.maximum(1.0, 2 * np.linalg.norm(step, axis=1))[:, None]
-        r, R = r + step[:, :3], rotation_matrix(step[:, 3:]) @ R
-    ends = np.abs(error).max(axis=1) < 1e-12
-    return r[ends], R[ends]
 
 
 def count_delta(number: int) -> Count:

@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from hexapod_ends import find_ends
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics import solving
@@ -188,18 +189,9 @@ def test_a_general_hexapod_has_no_pose_beyond_those_listed(seed):
     found = direct_all(model, length - zero)
     assert found.complete
     assert len(found) % 2 == 0
-    r, R = rng.uniform(-1, 1, (2000, 3)), rotation_matrix(rng.normal(0, 2, (2000, 3)))
-    for _ in range(60):
-        arm = heads @ R.swapaxes(1, 2)
-        leg = r[:, None] + arm - feet
-        error = ((leg**2).sum(axis=-1) - length**2) / 2
-        slopes = np.concatenate([leg, np.cross(arm, leg)], axis=-1)
-        step = -np.linalg.solve(slopes, error[..., None])[..., 0]
-        step /= np.maximum(1.0, 2 * np.linalg.norm(step, axis=1))[:, None]
-        r, R = r + step[:, :3], rotation_matrix(step[:, 3:]) @ R
-    ends = np.abs(error).max(axis=1) < 1e-12
-    assert ends.sum() > 100
-    apart = np.abs(r[ends][:, None] - found.position).max(axis=-1)
-    apart += np.abs(R[ends][:, None] - found.rotation).max(axis=(-1, -2))
+    r, R = find_ends(feet, heads, length, rng, 2000)
+    assert len(r) > 100
+    apart = np.abs(r[:, None] - found.position).max(axis=-1)
+    apart += np.abs(R[:, None] - found.rotation).max(axis=(-1, -2))
     assert apart.min(axis=1).max() < 1e-6  # each end is listed
     assert apart.min(axis=0).max() < 1e-6  # each listed pose is an end

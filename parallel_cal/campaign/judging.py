@@ -144,9 +144,7 @@ def judge_samples(
         found = diagnose(
             model, fitted, effects=question.effects, options=question.options, progress=tell
         )
-        if words := found.best.fitted.implausible:
-            raise FitError(words)
-        best = found.best.fitted.model
+        best = found.best.fitted.plausible_model
         text = readable_text(best, f"the model of the judgement of {len(dataset)} samples")
     except (FitError, ModelFileError) as error:
         return _make_judgement_without_model(model, dataset, unseen, question, str(error))

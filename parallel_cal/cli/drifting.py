@@ -11,7 +11,7 @@ import typer
 from parallel_cal.base.errors import DatasetError, ParallelCalError
 from parallel_cal.cli.arguments import Data, Details, Json, ModelFile, OptionalOut
 from parallel_cal.cli.recordings import data_options
-from parallel_cal.cli.watching import read_time
+from parallel_cal.cli.watching import Times, match_times, read_time
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -28,14 +28,7 @@ def drift(
             help="recordings of the robot at different times, with that of its last calibration"
         ),
     ],
-    time: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="YYYY-MM-DDTHH:MM",
-            help="time of a recording that states none, such as a table (repeat for each "
-            "recording; UTC if no zone is given)",
-        ),
-    ] = None,
+    time: Times = None,
     fleet: Annotated[
         Path | None,
         typer.Option(
@@ -116,16 +109,13 @@ def _read_sessions(
     from parallel_cal.recordings.joining import fingerprint
     from parallel_cal.recordings.loading import load_stamped
 
-    if times and len(times) != len(recordings):
-        raise ParallelCalError(
-            f"--time: {len(times)} given, {len(recordings)} expected, one for each recording"
-        )
+    stated = match_times(times, recordings)
     options, found, calibrated = data_options(data), list[Session](), list[float]()
     for k, path in enumerate(recordings):
         console.progress(f"fitting {path.name}", 0.9 * k / len(recordings))
         dataset, stamp = load_stamped(path, options, mechanism=robot.mechanism)
         console.warn(dataset.warnings, brief=not details)
-        when = read_time(path, dataset, stamp, times[k] if times else None)
+        when = read_time(path, dataset, stamp, stated[k])
         found.append(Session.of(robot, dataset, when))
         if (dataset.sha256 or fingerprint(dataset)) in calibration:
             calibrated.append(when)

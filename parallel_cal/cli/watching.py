@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -21,6 +21,15 @@ from parallel_cal.reporting import console
 if TYPE_CHECKING:
     from parallel_cal.recordings.dataset import Dataset
 
+Times = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--time",
+        metavar="YYYY-MM-DDTHH:MM",
+        help="time of a recording that states none, such as a table (repeat for each recording; "
+        "UTC if no zone is given)",
+    ),
+]
 STATE_SUFFIX = ".watch.json"
 MAX_CLOCK_ERROR_S = 86400.0  # of a stated time: zones, and clocks that a battery keeps
 
@@ -41,14 +50,7 @@ def watch(
             "the model]"
         ),
     ] = None,
-    time: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="YYYY-MM-DDTHH:MM",
-            help="time of a recording that states none, such as a table (repeat for each "
-            "recording; UTC if no zone is given)",
-        ),
-    ] = None,
+    time: Times = None,
     false_alarm_days: Annotated[
         float, typer.Option(help="mean time between false alarms, days", min=1e-6)
     ] = 30.0,
@@ -89,10 +91,7 @@ def watch(
     if robot.covariance is None:
         console.note(f"{model} was never fitted: its errors may hide a change; calibrate it first")
     file = state or model.with_name(model.stem + STATE_SUFFIX)
-    if time and len(time) != len(paths):
-        raise ParallelCalError(
-            f"--time: {len(time)} given, {len(paths)} expected, one for each recording"
-        )
+    times = match_times(time, paths)
     with hold(file):
         found, anew = continue_watch(file, robot, false_alarm_days)
         if anew:
@@ -110,7 +109,7 @@ def watch(
                 path, options, console.progress, mechanism=robot.mechanism
             )
             console.warn(dataset.warnings, brief=not details)
-            when = read_time(path, dataset, stamp, time[k] if time else None)
+            when = read_time(path, dataset, stamp, times[k])
             found = found.add(replace(dataset, sha256=content), when, joint_sigma, str(path))
             known.add(content)
         console.progress("", 1.0)
@@ -152,6 +151,15 @@ def hold(state: Path) -> Iterator[None]:
         yield
     finally:
         os.close(lock)
+
+
+def match_times(given: list[str] | None, paths: Sequence[Path]) -> Sequence[str | None]:
+    """Return the stated time of each recording, None where none is stated."""
+    if given and len(given) != len(paths):
+        raise ParallelCalError(
+            f"--time: {len(given)} given, {len(paths)} expected, one for each recording"
+        )
+    return given or [None] * len(paths)
 
 
 def read_time(path: Path, dataset: Dataset, stamp: int, given: str | None) -> float:

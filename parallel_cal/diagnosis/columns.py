@@ -19,7 +19,7 @@ from parallel_cal.identification.checks import (
 )
 from parallel_cal.identification.column_doubts import doubt_columns
 from parallel_cal.identification.estimate import NoSolutionError
-from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.registration import DevicePoses
@@ -35,19 +35,36 @@ def naming_wrong_columns(model: Model, dataset: Dataset, options: FitOptions) ->
     try:
         yield
     except (ImplausibleGeometryError, NoSolutionError, UnexplainedMotionError) as error:
-        check_columns(model, dataset, options, str(error))
+        _check_columns(model, dataset, options, str(error))
         raise
+
+
+def check_fitted(result: FitResult, model: Model, dataset: Dataset, options: FitOptions) -> None:
+    """Raise FitError if the samples themselves explain why the geometry of a fit is implausible,
+    unless it follows a few that contradict all others."""
+    if result.implausible and not result.outliers:
+        check_samples(model, dataset, options, result.implausible)
 
 
 def check_samples(model: Model, dataset: Dataset, options: FitOptions, against: str) -> None:
     """Raise FitError if the samples themselves explain what is said `against` their fit: other
-    columns or conventions fit them, or most of their motion is not explained."""
-    check_columns(model, dataset, options, against)
-    check_motion(model, dataset, options, against)
+    columns or conventions fit them, or most of their motion is not explained wherever the device
+    stands, so that no effect is the cause."""
+    there = _check_columns(model, dataset, options, against)
+    if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
+        raise FitError(
+            f"{against}. Wherever the device stands, {100 * share:.0f} % of the measured motion "
+            "is not explained, so no effect was tried. Check the mechanism, and the units, "
+            "columns, signs and zeros of the joints and poses: two of them may be wrong, or "
+            "the rows of joints and poses do not belong together"
+        )
 
 
-def check_columns(model: Model, dataset: Dataset, options: FitOptions, against: str) -> None:
-    """Raise FitError if other columns or conventions fit the samples."""
+def _check_columns(
+    model: Model, dataset: Dataset, options: FitOptions, against: str
+) -> DevicePoses | None:
+    """Return the poses of the samples, predicted and seen; FitError if other columns or conventions
+    fit them."""
     observations = observe(model, dataset, options.joint_sigma, options.insist)
     there = DevicePoses.of(model, observations)
     if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
@@ -60,16 +77,4 @@ def check_columns(model: Model, dataset: Dataset, options: FitOptions, against: 
         words = doubt_columns(model, observations, there, dataset.source, True, most)
     if words:
         raise FitError(f"{words}. As they are, {against}") from None
-
-
-def check_motion(model: Model, dataset: Dataset, options: FitOptions, against: str) -> None:
-    """Raise FitError if most of the measured motion is not explained wherever the device stands: no
-    effect is the cause."""
-    there = DevicePoses.of(model, observe(model, dataset, options.joint_sigma, options.insist))
-    if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
-        raise FitError(
-            f"{against}. Wherever the device stands, {100 * share:.0f} % of the measured motion "
-            "is not explained, so no effect was tried. Check the mechanism, and the units, "
-            "columns, signs and zeros of the joints and poses: two of them may be wrong, or "
-            "the rows of joints and poses do not belong together"
-        )
+    return there

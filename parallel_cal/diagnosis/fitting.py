@@ -11,7 +11,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.columns import check_samples, naming_wrong_columns
+from parallel_cal.diagnosis.columns import check_fitted, naming_wrong_columns
 from parallel_cal.identification import fit as identification
 from parallel_cal.identification.checks import UnexplainedMotionError
 from parallel_cal.identification.fit import FitResult
@@ -125,8 +125,7 @@ def fit(
         against = describe_unexplained_motion(result)
         if against and not options.insist:
             raise UnexplainedMotionError(f"{against}. {WAYS_ON}")
-    if result.implausible and not result.outliers:
-        check_samples(model, dataset, options, result.implausible)
+    check_fitted(result, model, dataset, options)
     if not against:
         return result
     forced = f"{against}: accepted because of --force (in Python: insist)"

@@ -15,7 +15,7 @@ from parallel_cal.base.options import with_changes
 from parallel_cal.base.parallel import Runner, run_on_cores
 from parallel_cal.base.progress import Progress, ignore_progress, never_falling
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.columns import check_samples, naming_wrong_columns
+from parallel_cal.diagnosis.columns import check_fitted, naming_wrong_columns
 from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.stations import DeviceField, find_stations
@@ -168,8 +168,7 @@ def _identify_geometry(
     excluded from them."""
     with naming_wrong_columns(model, dataset, options):
         base = fit(model, dataset, options)
-    if base.implausible and not base.outliers:
-        check_samples(model, dataset, options, base.implausible)
+    check_fitted(base, model, dataset, options)
     if options.loss != "linear":
         dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
         options = replace(options, loss="linear")

@@ -7,7 +7,7 @@ residual with and without these columns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -153,22 +153,18 @@ class Screening:
         return replace(one, site=own[0]) if own and not one.site.each else None
 
     def _splines(self, own: DriverSet, count: int) -> np.ndarray:
-        return self._compute_once(own, count, lambda: basis.splines(own, count))
+        return self._compute_once(count, _name(own), lambda: basis.splines(own, count))
 
     def _lines(self, own: DriverSet) -> np.ndarray:
-        return self._compute_once(own, "lines", lambda: basis.lines(own))
+        return self._compute_once("lines", _name(own), lambda: basis.lines(own))
 
     def _polynomials(self, own: DriverSet) -> np.ndarray:
-        return self._compute_once(own, "polynomials", lambda: basis.polynomials(own))
+        return self._compute_once("polynomials", _name(own), lambda: basis.polynomials(own))
 
     def _compute_once(
-        self, own: DriverSet, kind: int | str, compute: Callable[[], np.ndarray]
+        self, kind: int | str, names: Iterable[Any], compute: Callable[[], np.ndarray]
     ) -> np.ndarray:
-        return self._compute_once_of((kind, *(one.name for one in own)), compute)
-
-    def _compute_once_of(
-        self, key: tuple[Any, ...], compute: Callable[[], np.ndarray]
-    ) -> np.ndarray:
+        key = kind, *names
         if key not in self._known:
             self._known[key] = compute()
         return self._known[key]
@@ -184,8 +180,8 @@ class Screening:
         total = np.sum(targets.residuals**2, axis=0)
         work, scored = _SiteWork(site, targets), list[Scored]()
         for number, (hypotheses, columns) in enumerate(self._iterate_bases(site)):
-            key = "products", *site.key, number
-            products = self._compute_once_of(key, partial(work.multiply, columns))
+            multiply = partial(work.multiply, columns)
+            products = self._compute_once("products", (*site.key, number), multiply)
             explained, rank = work.explain(columns, products)
             own = evidence(explained, total, rank[:, None], targets.dof)
             scored.append(Scored(hypotheses, own))
@@ -313,6 +309,10 @@ class Screening:
             for own in (one, other)
             for d in own
         )
+
+
+def _name(own: DriverSet) -> list[str]:
+    return [one.name for one in own]
 
 
 def _score_site(shared: tuple[Screening, Targets], site: Site) -> list[Scored]:

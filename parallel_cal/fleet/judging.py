@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.causes.effects import find_missing_conditions, find_new_parameters
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
@@ -43,8 +42,6 @@ def judge_recording(
             found = diagnose(
                 model, dataset, effects=asked.effects, also=asked.also, options=asked.options
             )
-            if words := found.best.fitted.implausible:
-                raise FitError(words)
             when = job.time
             if when is None:
                 when = find_start_time(dataset, start_ns)
@@ -76,7 +73,7 @@ def sort_recordings(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 def _make_row(found: Diagnosis) -> Row:
     base, best = found.base.fitted, found.best.fitted
-    table = best.model.table
+    table = best.plausible_model.table
     return {
         "mechanism": found.model.mechanism.name,
         "samples": len(found.dataset),

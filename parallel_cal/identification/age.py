@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.drift_rate import DriftRate
+from parallel_cal.identification.linearisation import follow_closure
 from parallel_cal.identification.update import list_drift_parts
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -203,11 +204,8 @@ def draw_squares(model: Model, rng: np.random.Generator) -> dict[str, np.ndarray
     if not len(rows):
         raise FitError("the robot reaches no pose of its workspace")
     C, J = robot.structure.jacobians(rows, robot.condition_rows(None, len(rows)), robot.values)
-    moved = robot.mechanism.moved
     by = np.zeros((len(rows), 6, J.shape[2]))
-    by[:, moved] = -(np.linalg.pinv(C[:, :, robot.mechanism.dependent_columns]) @ J)[
-        :, : len(moved)
-    ]
+    by[:, robot.mechanism.moved], _ = follow_closure(robot, C, J)
     # Errors of the measuring device do not move the robot.
     device = [effect.name for effect in robot.effects if effect.of_device]
     own = np.array([name.split(".")[0] not in device for name in robot.table.names])

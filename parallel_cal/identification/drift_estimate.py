@@ -16,6 +16,8 @@ from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
 CENTRE_SIGMA = 10.0  # tolerances: of the mean of the sessions about the model, wide on purpose
+# The weights of a robot of which nothing is known.
+EVEN = np.full((len(PARTS), len(GROWTHS), len(SCALES)), 1.0 / (len(GROWTHS) * len(SCALES)))
 SWEEPS = 3  # over the parts, until the most probable law of each no longer changes
 SMALLEST = (1, 0)  # growth and scale at which a sweep starts
 FLEET_STEPS = 200  # of the iteration for the weights of a fleet
@@ -68,8 +70,7 @@ def estimate_drift(
             "recordings of at least two, or the folder of a fleet"
         )
     span = float(np.ptp(times)) if prior is None else prior.span
-    even = np.full((len(PARTS), len(GROWTHS), len(SCALES)), 1.0 / (len(GROWTHS) * len(SCALES)))
-    weights = even if prior is None else prior.weights
+    weights = EVEN if prior is None else prior.weights
     if len(sessions) > 1:
         weights = normalise(weights * weigh_laws(sessions, model, span, weights))
     robots = 1 if prior is None else prior.robots + (len(sessions) > 1)
@@ -89,12 +90,11 @@ def pool_drifts(robots: Sequence[Sequence[Session]], model: Model) -> DriftRate 
     if not known:
         return None
     span = max(float(np.ptp([s.time for s in one])) for one in known)
-    even = np.full((len(PARTS), len(GROWTHS), len(SCALES)), 1.0 / (len(GROWTHS) * len(SCALES)))
-    likelihood = np.array([weigh_laws(one, model, span, even) for one in known])
-    weights = even
+    likelihood = np.array([weigh_laws(one, model, span, EVEN) for one in known])
+    weights = EVEN
     for _ in range(FLEET_STEPS):
         each = normalise(weights * likelihood)
-        weights = (each.sum(axis=0) + even) / (len(known) + 1)
+        weights = (each.sum(axis=0) + EVEN) / (len(known) + 1)
     return DriftRate(weights, span, sum(len(one) for one in known), len(known))
 
 

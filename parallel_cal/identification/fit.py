@@ -160,6 +160,13 @@ class FitResult(ShownInNotebook):
     implausible: str = ""
     outliers: Outliers | None = None
 
+    @property
+    def plausible_model(self) -> Model:
+        """The model; FitError if no such robot has its geometry."""
+        if self.implausible:
+            raise FitError(self.implausible)
+        return self.model
+
     def __repr__(self) -> str:
         return (
             f"FitResult({self.model.mechanism.name}, {self.samples} samples, "
@@ -673,12 +680,12 @@ def _check(
     leaves_noise = scaled is None and leaves_only_noise(
         found.usual, found.estimate, found.observations
     )
-    checked = check_plausible(
+    fitted, unusual, implausible, insisted = check_plausible(
         found.fitted, found.estimate, found.free, options.insist, options.usual_only, leaves_noise
     )
-    if scaled is not None and checked[2]:
-        raise ImplausibleGeometryError(f"{scaled}. {checked[2]}")
-    return checked
+    if scaled is not None and implausible:
+        raise ImplausibleGeometryError(f"{scaled}. {implausible}")
+    return fitted, unusual, implausible, insisted
 
 
 def _list_warnings(found: Identified, fitted: Model, after: Errors) -> list[str]:

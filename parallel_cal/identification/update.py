@@ -42,14 +42,18 @@ def list_culprits(model: Model) -> list[Culprit]:
     """List the usual drifts of a robot: the zero of each joint, and warm lengths.
 
     They are as large as the history of the model states for this robot or its fleet, if it does."""
-    rate = DriftRate.of_model(model)
-    sizes = dict.fromkeys(PARTS, 1.0) if rate is None else rate.quantile(0.5)
-    rows = list_drift_parts(model)
+    sizes, rows = _read_sizes(model), list_drift_parts(model)
     zeros = zip(model.joints, rows["zeros"], strict=True)
     return [
         *(Culprit(f"zero of {joint}", sizes["zeros"] * shift) for joint, shift in zeros),
         Culprit("temperature", sizes["temperature"] * rows["temperature"][0]),
     ]
+
+
+def _read_sizes(model: Model) -> dict[str, float]:
+    """The size of each part of the usual drift that the history of a model states; 1 if none."""
+    rate = DriftRate.of_model(model)
+    return dict.fromkeys(PARTS, 1.0) if rate is None else rate.quantile(0.5)
 
 
 def list_drift_parts(model: Model) -> dict[str, np.ndarray]:
@@ -122,9 +126,7 @@ def update_prior(model: Model, scale: float = 1.0) -> Prior:
 def usual_drift(model: Model) -> np.ndarray:
     """Return the covariance (n_parameters, n_parameters) of the usual drift, SI, of all parts: of
     this robot or its fleet, if the history of the model states it."""
-    rate = DriftRate.of_model(model)
-    sizes = dict.fromkeys(PARTS, 1.0) if rate is None else rate.quantile(0.5)
-    parts = list_drift_parts(model).items()
+    sizes, parts = _read_sizes(model), list_drift_parts(model).items()
     return np.asarray(sum(sizes[part] ** 2 * rows.T @ rows for part, rows in parts))
 
 

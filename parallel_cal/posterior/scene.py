@@ -148,11 +148,10 @@ class Scene:
         scale = variance**-0.5
         residual, sizes = scale * self.residual, self.sizes
         if sizes is not None:
-            known = np.where(np.isinf(sizes), 0.0, sizes)
-            onto = self.basis.T @ residual
-            residual = residual + self.basis @ ((np.sqrt(1 + known**2) - 1) * onto)
-            sizes = scale * sizes
-            residual = _project_off(residual, self.basis, sizes)
+            # Along the basis, S was another one; along directions without a size, nothing is left.
+            known, sizes = np.where(np.isinf(sizes), 0.0, sizes), scale * sizes
+            more = np.sqrt((1 + known**2) / (1 + (scale * known) ** 2)) - 1
+            residual = residual + self.basis @ (more * (self.basis.T @ residual))
         return replace(self, residual=residual, whitener=scale * self.whitener, sizes=sizes)
 
     @property

@@ -11,8 +11,8 @@ from parallel_cal.identification.drift_rate import PARTS, DriftRate
 from parallel_cal.reporting.blocks import Column, Number, Row, Table
 from parallel_cal.reporting.readable import day, format_percent, number
 from parallel_cal.reporting.watching import iso
+from parallel_cal.watch.watch import DAY
 
-DAY = 86400.0  # s
 GROWTH_WORDS = ("each session", "random walk", "steady")
 CURE = "record a second session and run parallel-cal drift with both"
 

@@ -125,18 +125,17 @@ def settings(paths: Sequence[Path]) -> Settings:
                 elif found[1] in OLD_TRIMS:
                     remarks.append(OLD_TRIM.format(place.path, place.line, found[1]))
                 elif found[1] == "include":
-                    inner = path.with_name(
-                        Path(found[2]).name
-                    )  # on the card both lie in one folder
-                    if not inner.is_file():
-                        unread.append(found[2])
-                    elif inner in opened:
-                        raise place.error(
-                            "include", found[2], "a file that does not include this one"
-                        )
-                    else:
-                        included.append(inner)
-                        read(inner, (*opened, inner))
+                    include(place, found[2], path, opened)
+
+    def include(place: SourceLine, name: str, path: Path, opened: tuple[Path, ...]) -> None:
+        inner = path.with_name(Path(name).name)  # on the card both lie in one folder
+        if not inner.is_file():
+            unread.append(name)
+        elif inner in opened:
+            raise place.error("include", name, "a file that does not include this one")
+        else:
+            included.append(inner)
+            read(inner, (*opened, inner))
 
     for path in paths:
         if path not in included:
