@@ -99,8 +99,8 @@ types: $(STAMP)
 	@$(BIN)/mypy
 
 bags: $(STAMP)
-	@$(BIN)/python test/make_baselines.py
-	@$(BIN)/python test/make_bags.py
+	@$(BIN)/python test/helpers/make_baselines.py
+	@$(BIN)/python test/helpers/make_bags.py
 
 bench: $(STAMP)
 	@$(BIN)/parallel-cal bench
@@ -108,17 +108,17 @@ bench: $(STAMP)
 # The nodes under faults by the thousand (docs/reliability.md): 20 minutes; SHARE=0.1 for a part.
 SHARE ?= 1
 faults: $(STAMP)
-	@$(BIN)/python bench/faults.py --share $(SHARE)
+	@$(BIN)/python -m bench.truth.faults --share $(SHARE)
 
 # Mistakes planted in the package, one at a time: which do the nearest tests find? WORDS="journal prior"
 # for some of them; half an hour for all.
 mutants: $(STAMP)
-	@$(BIN)/python test/mutants.py $(WORDS)
+	@$(BIN)/python test/project/mutants.py $(WORDS)
 
 # The documents' tables and figures again (docs/tables.*): some minutes.
 tables: $(STAMP)
 	@$(call install,matplotlib)
-	@$(BIN)/python -m bench.tables
+	@$(BIN)/python -m bench.documents.tables
 
 # What mechanisms and effects look like (docs/mechanisms.md, docs/gallery.md).
 gallery: $(STAMP)
@@ -131,7 +131,7 @@ docs: $(STAMP)
 
 # The real machines in real/ calibrated beside independent fits (docs/real_machines.md).
 real: $(STAMP)
-	@$(BIN)/python -m bench.real_machines
+	@$(BIN)/python -m bench.truth.real_machines
 
 # Who maintains a release, in every package.xml at once (CONTRIBUTING.md, Before a release):
 #   make maintainer EMAIL=jane@lab.org URL=https://github.com/lab/parallel_cal

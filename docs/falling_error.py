@@ -25,7 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 REPOSITORY = Path(__file__).parents[1]
-sys.path.insert(0, str(REPOSITORY / "test"))  # both_nodes
+sys.path.insert(0, str(REPOSITORY / "test" / "helpers"))  # both_nodes
 RECORD = REPOSITORY / "docs" / "falling_error.json"
 PRESET, BAG = (
     REPOSITORY / p for p in ("config/delta_mockup_nominal.yaml", "bags/delta_gear_ripple")

@@ -1,7 +1,7 @@
 """Draws docs/rooms.svg, the rooms and what they import: `python docs/rooms.py`.
 
-The graph is that of test/test_architecture.py, the words are each room's own first line. An arrow
-that follows from others is left out.
+The graph is that of test/project/test_architecture.py, the words are each room's own first line. An
+arrow that follows from others is left out.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from html import escape
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[1]
-sys.path.insert(0, str(REPOSITORY / "test"))
+sys.path.insert(0, str(REPOSITORY / "test" / "project"))
 from test_architecture import GRAPH, PACKAGE, ROOMS, room
 
 PICTURE = REPOSITORY / "docs" / "rooms.svg"

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 REPOSITORY = Path(__file__).parents[1]
-sys.path.insert(0, str(REPOSITORY / "test"))
+sys.path.insert(0, str(REPOSITORY / "test" / "helpers"))
 
 from workbench_page import Served, opened
 

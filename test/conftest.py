@@ -1,12 +1,15 @@
 """One BLAS thread in every test: results do not change, and workers do not fight for cores.
 
 Nodes keep their journals out of the home folder, and the page what it remembers of its user. Ctrl-C
-reaches the tests however they are started.
+reaches the tests however they are started. Tests and helpers import each other by name, whichever
+folder they are in.
 """
 
 import os
 import signal
+import sys
 import tempfile
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -25,6 +28,8 @@ def pytest_configure(config):
     else:
         settings.load_profile("wide" if "wide" in marks else "nightly")
 
+
+sys.path[:0] = map(str, sorted(Path(__file__).parent.glob("*/")))
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")

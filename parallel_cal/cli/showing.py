@@ -40,20 +40,26 @@ def bench(
     ] = None,
 ) -> None:
     """Run the benchmarks of speed and accuracy in bench/. Needs the repository."""
+    import os
     import subprocess
 
-    folder = Path(__file__).resolve().parents[2] / "bench"
-    files = sorted(folder.glob("*.py"))
+    root = Path(__file__).resolve().parents[2]
+    files = sorted(root.glob("bench/*/*.py"), key=lambda file: file.stem)
     scripts = {f.stem: f for f in files if "__main__" in f.read_text(encoding="utf-8")}
     if not scripts:
-        raise ParallelCalError(f"{folder}: no benchmarks found; clone the repository to run them")
+        raise ParallelCalError(
+            f"{root / 'bench'}: no benchmarks found; clone the repository to run them"
+        )
     unknown = [name for name in names or [] if name not in scripts]
     if unknown:
         raise ParallelCalError(
             f"unknown benchmark {', '.join(unknown)}; expected one of {', '.join(scripts)}"
         )
+    places = [str(root), os.environ.get("PYTHONPATH", "")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
     for name in names or [name for name in scripts if name not in CONTAINED]:
         console.note(f"{name} ...")
-        done = subprocess.run([sys.executable, str(scripts[name])], check=False)
+        module = ".".join(scripts[name].relative_to(root).with_suffix("").parts)
+        done = subprocess.run([sys.executable, "-m", module], env=environment, check=False)
         if done.returncode:
             raise ParallelCalError(f"{scripts[name]} failed (exit {done.returncode})")

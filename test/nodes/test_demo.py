@@ -1,0 +1,80 @@
+"""The demo tells the truth, and leaves what it found."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from waits import children, wait_until
+
+from parallel_cal.model.file.modelfile import model_hash
+from parallel_cal.nodes import demo
+from parallel_cal.session.session import Session
+from parallel_cal.virtual.kinds import kinds_of
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def start(*arguments, **environment):
+    call = f"main({', '.join(arguments)})"
+    code = f"import sys; from parallel_cal.nodes.demo import main; sys.exit({call})"
+    return subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+
+
+@pytest.mark.wide
+@pytest.mark.ros
+def test_the_demo_finds_what_is_hidden_and_stops_at_the_noise(tmp_path):
+    given = ("json=True", "effect='backlash'", "seed=2")
+    demo_process = start(*given, TMPDIR=str(tmp_path))
+    out, err = demo_process.communicate(timeout=400)
+    assert demo_process.returncode == 0, err
+    document = json.loads(out)
+    assert (document["hidden"], document["effects"]) == ("backlash", ["backlash"])
+    assert document["success"]
+    first, last = document["curve"][0], document["curve"][-1]
+    assert first["poses"] == 0
+    assert last["poses"] == document["poses"] <= demo.POSES
+    assert last["error_unseen"] < 2 * 29e-6 < 10 * first["error_unseen"]
+    (model,) = tmp_path.glob("*/robot.yaml")
+    assert model_hash(model.read_text()) == document["hash"]
+    found = Session(Path(document["folder"])).model
+    assert [effect.name for effect in found.effects] == ["backlash"]
+
+
+@pytest.mark.ros
+def test_an_interrupted_demo_leaves_no_process_and_no_file(tmp_path):
+    demo_process = start(TMPDIR=str(tmp_path))
+
+    def up():
+        return len(children(demo_process.pid)) == 3 or demo_process.poll() is not None
+
+    wait_until(up, "three nodes")
+    nodes = children(demo_process.pid)
+    assert len(nodes) == 3, demo_process.communicate()[1]
+    demo_process.send_signal(signal.SIGINT)
+    _, err = demo_process.communicate(timeout=60)
+    assert demo_process.returncode == 1
+    assert "interrupted" in err
+    assert "Traceback" not in err
+    # The system takes a moment to clear away a process whose parent has gone.
+    wait_until(lambda: not any(Path(f"/proc/{p}").exists() for p in nodes), "the nodes' end")
+    assert list(tmp_path.glob("parallel_cal_demo_*")) == []
+
+
+def test_the_demo_hides_what_its_robot_may_have():
+    assert set(demo.HIDDEN) <= set(kinds_of("delta"))
+
+
+def test_without_ros_the_demo_says_so(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "parallel_cal.nodes.calibrate", None)
+    assert demo.main() == 1
+    assert "ROS 2 is missing" in capsys.readouterr().err
