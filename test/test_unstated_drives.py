@@ -14,6 +14,7 @@ from parallel_cal.effects.encoder_gain import EncoderGain
 from parallel_cal.mechanisms.stewart42 import BASE, PLATFORM, RETRACTED, Stewart42
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
 
@@ -89,10 +90,14 @@ def test_with_the_drive_stated_as_advised_the_error_falls_to_the_noise(session):
     assert found.best.result.model.value("spool_buildup.Q") == pytest.approx(Q, rel=0.3)
 
 
-def test_only_joints_in_m_without_a_drive_may_have_a_spool():
+def test_only_lines_and_struts_without_a_drive_may_have_a_spool():
     screws = hexapod(Drive("screw", per_rev=5e-3)).mechanism
     assert EncoderGain().other_kinds(screws) == {}
     assert EncoderGain().other_kinds(new_model("delta24").mechanism) == {}
+    # Carriages: a gain of this size beside a bent bed imitated the screws of a printer.
+    assert EncoderGain().other_kinds(new_model("linear_delta").mechanism) == {}
+    line = new_model(load_mechanism("cable", anchors=[[-0.5, 0], [0.5, 0]], home=[0, -0.4]))
+    assert EncoderGain().other_kinds(line.mechanism)
     [factor] = EncoderGain().other_kinds(hexapod().mechanism).values()
     usual, spool = (
         EncoderGain().parameters(m)[0].tolerance

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from parallel_cal.effects._joints import SMOOTH, explain_how_to_state_spool, shift_joints
+from parallel_cal.effects._lines import needs_lines
+from parallel_cal.effects._struts import needs_struts
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -42,7 +44,9 @@ class EncoderGain(Effect):
         ]
 
     def other_kinds(self, mechanism: Mechanism) -> Mapping[str, float]:
-        if not (how := explain_how_to_state_spool(mechanism)):
+        how = explain_how_to_state_spool(mechanism)
+        # A spool pulls at a line or at a strut of a platform, not at a carriage on a rail.
+        if not how or (needs_lines(mechanism) and needs_struts(mechanism)):
             return {}
         tolerance, most = SPOOL_SIZE
         words = f"{how}. A gain of up to {most} is usual then, and spool_buildup can be tested"
