@@ -50,9 +50,11 @@ def list_effect_blocks(
         settings = [known[name]] if known.get(name) else settings
         a = conditions(plain, scene.dataset)
         each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
+        sizes = [1.0, *effect.other_kinds(mechanism).values()]
         # About a fitted geometry that is plausible, no number of a drive is grossly wrong.
         if effect.mistaken > 1 and scene.sizes is not None:
-            each, settings = [*each, *(effect.mistaken * one for one in each)], 2 * settings
+            sizes.append(effect.mistaken)
+        each, settings = [size * one for size in sizes for one in each], len(sizes) * settings
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried)
         if block is not None:

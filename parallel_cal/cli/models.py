@@ -332,9 +332,9 @@ def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
 def _print_description(name: str, cls: type) -> None:
     """Print what a mechanism is, and its options."""
     console.say(f"{name}: {_sentence(sys.modules[cls.__module__].__doc__)}")
-    _, found, described = (inspect.getdoc(cls) or "").partition("\n\nOptions: ")
+    _, found, described = (inspect.getdoc(cls) or "").partition("\n\nOptions")
     if found:
-        console.say(f"\nOptions: {described}\n")
+        console.say(f"\nOptions{described}\n")
 
 
 def _rows(shelf: str, row: Callable[[str], dict[str, Any]]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from parallel_cal.diagnosis.search import Search, Trial, ratio_of
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
+from parallel_cal.model.shelf import load_effect
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,8 @@ class UnusualEffect:
     `without` and `ratio` (with over without) are None if the effect was in the model already, or if
     the data cannot be fitted without it. `is_only_one`: no other effect was found. `is_alone`: the
     errors are those without any effect and with this one alone, because the other effects alone
-    have no plausible fit.
+    have no plausible fit. `advice` says how to state the kind of machine on which such a size is
+    usual, if the model does not state its kind.
     """
 
     name: str
@@ -29,16 +31,17 @@ class UnusualEffect:
     ratio: float | None
     is_only_one: bool
     is_alone: bool = False
+    advice: tuple[str, ...] = ()
 
     @property
     def description(self) -> str:
         """The sentence about the size; with its gain if there are several effects."""
         words = describe_by_effect(self.sizes)[self.name]
-        if self.without is None or not self.present.is_known or self.is_only_one:
-            return words
-        errors = format_errors(self.present, self.without)
-        alone = "alone, " if self.is_alone else ""
-        return f"{words}; {alone}this effect changes the error at held-out poses {errors}"
+        if self.without is not None and self.present.is_known and not self.is_only_one:
+            errors = format_errors(self.present, self.without)
+            alone = "alone, " if self.is_alone else ""
+            words += f"; {alone}this effect changes the error at held-out poses {errors}"
+        return ". ".join([words, *self.advice])
 
     def document(self) -> dict[str, Any]:
         return {
@@ -68,7 +71,10 @@ def find_unusual_effects(search: Search, best: Trial) -> tuple[UnusualEffect, ..
             before, after = without.result.held_out.summary, present.result
             ratio = ratio_of(without, present)
         its = tuple(one for one in sizes if one.effect == name)
+        advice = tuple(load_effect(name).other_kinds(best.fitted.model.mechanism))
         found.append(
-            UnusualEffect(name, its, before, after.held_out.summary, ratio, not others, is_alone)
+            UnusualEffect(
+                name, its, before, after.held_out.summary, ratio, not others, is_alone, advice
+            )
         )
     return tuple(found)

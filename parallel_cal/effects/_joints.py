@@ -27,6 +27,18 @@ def find_prismatic_joints(mechanism: Mechanism) -> list[str]:
     return [joint for joint, unit in joints if unit == "m"]
 
 
+def explain_how_to_state_spool(mechanism: Mechanism) -> str:
+    """Return how to state the spool of a joint in m without a stated drive; empty if all such
+    joints have one."""
+    drives = mechanism.drives or (None,) * len(mechanism.joints)
+    joints = zip(mechanism.joints, mechanism.joint_units, drives, strict=True)
+    for joint, unit, drive in joints:
+        if unit == "m" and drive is None:
+            stated = f"{joint}: {{..., drive: {{kind: spool, radius: 0.05}}}}"
+            return f"If a spool moves the joint, state it in the model file: {stated}"
+    return ""
+
+
 def needs_turning(mechanism: Mechanism) -> str:
     """Return why an effect of revolute joints does not apply; empty if it does."""
     return "" if find_revolute_joints(mechanism) else "it has no revolute joint"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from parallel_cal.effects._joints import explain_how_to_state_spool
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -35,11 +36,7 @@ class SpoolBuildup(Effect):
             return ""
         if "m" not in mechanism.joint_units:
             return "it has no line on a spool"
-        joint = mechanism.joints[mechanism.joint_units.index("m")]
-        return (
-            "no joint states a spool. If a spool moves the joint, state it in the model file: "
-            f"{joint}: {{..., drive: {{kind: spool, radius: 0.05}}}}"
-        )
+        return f"no joint states a spool. {explain_how_to_state_spool(mechanism)}".rstrip()
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         rows = []

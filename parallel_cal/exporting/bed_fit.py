@@ -240,15 +240,21 @@ class BedFit:
         scale = np.maximum(np.abs(start), 0.01)
         [probe] = [sensor for sensor in self.model.sensors if sensor.name == PROBE]
         noise = probe.weighing_sigma
+        first, layers = machine(start).firmware, [self.points, *self.raised]
+        # A point at the edge of the present reach may be beyond that of other numbers.
+        unreached = [~np.isfinite(self.moves(first, layer)) for layer in layers]
 
         def missed(numbers: Array) -> Array:
             firmware = machine(numbers).firmware
-            on_bed = self.moves(firmware, self.points)
+            on_bed, *above = (
+                np.where(skipped, 0.0, self.moves(firmware, layer))
+                for skipped, layer in zip(unreached, layers, strict=True)
+            )
             weight = tightening / (np.sqrt(len(self.points)) * XY_SIGMA)
             rows = [
                 (self.touched.positions(firmware)[:, 2] - heights) / noise,
                 whitening @ (on_bed[:, :2].ravel() - target),
-                *((self.moves(firmware, layer) - on_bed).ravel() * weight for layer in self.raised),
+                *((raised - on_bed).ravel() * weight for raised in above),
                 (_rods(firmware) - _rods(self.old.firmware)) / ROD_SIGMA,
                 1e-6 * (numbers - start) / scale,  # numbers that change no position stay
             ]
@@ -274,6 +280,7 @@ class BedFit:
     def _movement(self, firmware: Firmware) -> Movement:
         moves = self.moves(firmware, self.points)[:, :2]
         target = self.supported()[0].reshape(-1, 2)
+        moves = np.where(np.isfinite(moves), moves, target)  # beyond reach, nothing moves
         sigma = None
         if self.model.covariance is not None:
             variances = np.diag(self.model_moves[1]).reshape(-1, 2).sum(axis=1)

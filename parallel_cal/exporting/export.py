@@ -308,10 +308,15 @@ def _moves_too_far(files: Sequence[Path], movement: Movement, heights: BedHeight
         f"at most {1e3 * MAX_UNMEASURED_MOVE:g} mm. The rms height at the touches would go from "
         f"{before:.1f} to {after:.1f} um"
     )
+    measure = (
+        "measure a printed length along the other axis, too (sensor printed with along: xy, import "
+        "--option printed_x=[sent, measured] and printed_y)"
+        if movement.measured
+        else "measure one printed length (import --option printed_x=[sent, measured])"
+    )
     cure = (
-        "measure one printed length (import --option printed_x=[sent, measured]) and fit again, "
-        "keep what the touches determine poorly near the drawing (fit --prior), or, if the present "
-        "parameters are only those of the drawing, pass --force"
+        f"{measure} and fit again, keep what the touches determine poorly near the drawing (fit "
+        "--prior), or, if the present parameters are only those of the drawing, pass --force"
     )
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 

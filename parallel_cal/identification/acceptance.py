@@ -91,6 +91,8 @@ def acceptance(
         used = (new.before if old is None else old.after).summary
         why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
         why += ": without a validation error nothing proves that the new model is better"
+        if new.options.hold_out * len(np.unique(new.dataset.pose_id)) > 1:
+            why += ". Measure more poses, or hold out one pose at a time (--hold-out 0.001)"
         return Acceptance(used, new.after.summary, False, _describe_imitation(new, old) or why)
     then, now = before.select(known).summary, after.select(known).summary
     if why := _describe_imitation(new, old):

@@ -63,9 +63,10 @@ class Palletizer(Mechanism):
 
     Options, in m: `shoulder` and `height`, the distance of the shoulder from the axis of the waist
     and its height (0.1 and 0.35); `upper` and `forearm`, the lengths (0.45 and 0.5); `crank`, the
-    length of crank and lever (0.12); `lever`, the lengths of all levers of the level rods (0.1);
-    `wrist`, the distance from the wrist to the axis of the flange (0.08); `tool`, the distance of
-    {P} below the wrist (0.06). `flange`: false for an arm without a fourth joint (default true).
+    lengths of the crank and of the forearm's lever (0.12), one number or two; `lever`, the lengths
+    of all levers of the level rods (0.1); `wrist`, the distance from the wrist to the axis of the
+    flange (0.08); `tool`, the distance of {P} below the wrist (0.06). `flange`: false for an arm
+    without a fourth joint (default true).
     `home`: the readings at home in rad (0, 1.4, -0.35 and 0).
 
     `switches` (rad) are the readings at which the controller homes the joints (default: the upper
@@ -81,7 +82,7 @@ class Palletizer(Mechanism):
         height: float = SIZE["height"],
         upper: float = SIZE["upper"],
         forearm: float = SIZE["forearm"],
-        crank: float = SIZE["crank"],
+        crank: float | Sequence[float] = SIZE["crank"],
         lever: float = SIZE["lever"],
         wrist: float = SIZE["wrist"],
         tool: float = SIZE["tool"],
@@ -89,8 +90,11 @@ class Palletizer(Mechanism):
         home: Sequence[float] | None = None,
         switches: Sequence[float] | None = None,
     ):
-        stated = {"shoulder": shoulder, "height": height, "upper": upper, "forearm": forearm}
-        stated |= {"crank": crank, "lever": lever, "wrist": wrist, "tool": tool}
+        two = isinstance(crank, (list, tuple)) and len(crank) == 2
+        levers: Any = crank if two else (crank, crank)
+        stated: dict[str, Any] = {"shoulder": shoulder, "height": height, "upper": upper}
+        stated |= {"forearm": forearm, "crank": levers[0], "forearm lever (crank)": levers[1]}
+        stated |= {"lever": lever, "wrist": wrist, "tool": tool}
         size = read_numbers(stated, may_be_zero=("shoulder", "height", "wrist", "tool"))
         if not isinstance(flange, bool):
             raise ModelError(f"flange is {flange!r}, expected true or false")
@@ -101,7 +105,8 @@ class Palletizer(Mechanism):
         self.parameters = ParameterTable(_parameters(size, flange))
         at = HOME[:n] if home is None else read_one_per_joint("home", home, n, "joint")
         p = Named(self.parameters.names, ca.DM(self.parameters.nominal))
-        r, R = self.candidates(ca.DM(at), p)[0]
+        raised = [*at[:2], _find_forearm(at, p), *at[3:]]
+        r, R = self.candidates(ca.DM(raised), p)[0]
         x, y, z = (round(float(v), 13) + 0.0 for v in r.elements())
         turn = float(np.arctan2(float(R[1, 0]), float(R[0, 0])))
         self.home = Home(tuple(at), (x, y, z), (0.0, 0.0, np.sin(turn / 2), np.cos(turn / 2)))
@@ -230,6 +235,23 @@ def _direction(angle: Any) -> Any:
     return ca.vertcat(ca.cos(angle), ca.sin(angle))
 
 
+def _find_forearm(at: Sequence[float], p: Named) -> float:
+    """Return the angle of the forearm at joint readings: that of the crank if their four-bar is a
+    parallelogram. ModelError if the push rod does not reach."""
+    elbow = p.upper.length * _direction(at[1])
+    end = -p.crank.length * _direction(at[2])
+    squares = [p.forearm.lever**2, p.push.length**2]
+    levers = [F - elbow for F in two_circles([elbow, end], squares)]
+    angles = [float(np.arctan2(-float(v[1]), -float(v[0]))) for v in levers]
+    if not np.isfinite(angles).all():
+        raise ModelError(
+            f"crank is {float(p.crank.length):g} and {float(p.forearm.lever):g} m: the push rod of "
+            f"{float(p.push.length):g} m does not reach the forearm's lever at home"
+        )
+    away = [abs((angle - at[2] + np.pi) % (2 * np.pi) - np.pi) for angle in angles]
+    return angles[int(np.argmin(away))]
+
+
 def _too_long(span: Any, length: Any) -> Any:
     return (ca.sumsqr(span) - length**2) / (2 * length)
 
@@ -253,7 +275,7 @@ def _parameters(size: dict[str, float], flange: bool) -> list[Parameter]:
         ("crank.q0", 0.0, "encoder offset"),
         ("push.length", upper, "push rod's length"),
         ("forearm.length", forearm, "forearm's length"),
-        ("forearm.lever", size["crank"], "forearm lever's length"),
+        ("forearm.lever", size["forearm lever (crank)"], "forearm lever's length"),
         ("forearm.bend", 0.0, "forearm lever's angle to the forearm"),
         ("level.base_x", -lever, "first level rod's end on the waist: x"),
         ("level.base_z", 0.0, "first level rod's end on the waist: z"),

@@ -222,6 +222,19 @@ class Effect(ABC):
         """Return why the effect does not apply to a mechanism; empty if it applies."""
         return ""
 
+    def other_kinds(self, mechanism: Mechanism) -> Mapping[str, float]:
+        """Return the kinds of machine that the mechanism may be, if it does not state its kind, and
+        on which the effect has another usual size.
+
+        Returns
+        -------
+        dict of float
+            Maps a sentence that says how to state the kind to how many times its usual size the
+            effect has there. A diagnosis weighs these sizes, too, and shows the sentence if it
+            finds the effect larger than usual.
+        """
+        return {}
+
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterable[Mapping[str, float]]:

@@ -302,10 +302,13 @@ MAX_NORM_ERROR = 0.01  # of a quaternion; four other columns q0 to q3 are none
 MAX_SHOWN_HEADER = 400  # characters of a table's header in a message
 
 
-def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap:
+def map_by_names(
+    table: Table, joints: Sequence[str], beside: Path, controls: Sequence[str] = POSITION
+) -> ColumnMap:
     """Return the column map of a table whose columns have the names of the joints, x, y, z and qx,
-    qy, qz, qw, of readings (`reading.CHANNEL`) and of conditions. DatasetError with the columns
-    that are missing; the map can be stated in the file `beside`."""
+    qy, qz, qw, of readings (`reading.CHANNEL`) and of conditions. Of x, y and z it needs those that
+    the robot `controls`. DatasetError with the columns that are missing; the map can be stated in
+    the file `beside`."""
     missing = [joint for joint in joints if table.find(joint) is None]
     turned = find_quaternion(table, joints)
     columns = {joint: joint for joint in joints}
@@ -317,14 +320,17 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
         [name for name in names if name not in joints and table.find(name) is not None]
         for names in (POSITION, QUATERNION)
     )
+    needed = [name for name in POSITION if name in controls] or list(POSITION)
+    located = set(needed) <= set(position)
     readings = find_readings(table)
     orientation = orientation if len(orientation) == 4 else turned or []
-    measured = len(position) == 3 or orientation or readings
-    if missing or not joints or not measured:
-        raise DatasetError(_explain_missing(table, joints, missing, beside))
+    if missing or not joints or not (located or orientation or readings):
+        raise DatasetError(_explain_missing(table, joints, missing, needed, beside))
     return ColumnMap(
         joints={joint: JointColumn(column=columns[joint]) for joint in joints},
-        position=PositionColumns(columns=position) if len(position) == 3 else None,
+        position=PositionColumns(columns=[name if name in position else None for name in POSITION])
+        if located
+        else None,
         orientation=orientation or None,
         readings=readings,
         conditions=rename_conditions(find_conditions(table, [*names]), names),
@@ -355,10 +361,15 @@ def find_names(table: Table) -> str | None:
 
 
 def _explain_missing(
-    table: Table, joints: Sequence[str], missing: Sequence[str], beside: Path
+    table: Table,
+    joints: Sequence[str],
+    missing: Sequence[str],
+    needed: Sequence[str],
+    beside: Path,
 ) -> str:
-    """Say which columns a table without a column map lacks, and where to state others."""
-    problem = f"no columns {', '.join(missing) or 'x, y, z'}"
+    """Say which columns a table without a column map lacks, of the joints or of the `needed`
+    coordinates, and where to state others."""
+    problem = f"no columns {', '.join(missing or needed)}"
     stated = f"the columns in the file {beside}, or --data columns=MAP.yaml"
     expected = (
         "Expected the joints of the model, and x, y and z or qx, qy, qz and qw, each length and "

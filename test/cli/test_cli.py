@@ -29,7 +29,9 @@ from parallel_cal.model.file.modelfile import (
     replace_model,
     write_model,
 )
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_class, options_of
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.reporting import console
 
@@ -290,6 +292,14 @@ def test_the_options_of_a_mechanism_are_listed(run):
     )
     assert "Options" not in run("mechanisms", "scara16")[1]
     assert "\njoints: motor1 [rad], motor2 [rad], motor3 [rad], motor4 [rad]\n" in listed
+
+
+@pytest.mark.parametrize("name", ["palletizer", "deltesian"])
+def test_options_in_m_are_listed_too(run, name):
+    """`Options, in m: ...` were left out of the list."""
+    _, listed, _ = run("mechanisms", name)
+    for one in options_of(load_class("mechanisms", name, Mechanism)):
+        assert f"`{one.partition('=')[0]}`" in listed
 
 
 def test_a_mechanism_that_needs_an_option_is_described_without_it(run):

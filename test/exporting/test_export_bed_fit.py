@@ -15,10 +15,14 @@ from scipy.optimize import least_squares
 from test_export_heights import D300VS, points_of, rms_height
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.exporting import export
+from parallel_cal.exporting.bed_fit import BedFit, Movement
 from parallel_cal.exporting.export import export_into
+from parallel_cal.exporting.heights import BedHeights
 from parallel_cal.identification.fit import fit
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.touch_samples import touches_in
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.shelf import load_sensor
 
 NINE = (0, 4, 5, 7, 8, 9, 10, 11)  # radius, two tower angles, end-stops and the tilt of the bed
@@ -184,6 +188,38 @@ def test_a_printed_length_sets_the_scale_without_fixed_parameters(tmp_path, seed
     assert done.movement.measured
     assert done.heights.after < 8e-6
     assert length(vf.Duet(files[0].read_text())) == pytest.approx(80.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("measured", "cure"),
+    [(False, "measure one printed length"), (True, "along the other axis, too")],
+)
+def test_the_cure_of_an_unmeasured_move_is_the_length_that_nobody_measured(measured, cure):
+    """A part along x leaves the size along y open: rods 7 mm too long made 0.85 mm of 80 mm."""
+    heights = BedHeights(67, 1.3e-3, 12e-6)
+    movement = Movement(2e-3, 1e-3, 0.9e-3, 1e-3, measured)
+    assert cure in str(export._moves_too_far([Path("printer.cfg")], movement, heights))
+
+
+def test_a_point_that_the_new_numbers_do_not_reach_does_not_count(tmp_path, monkeypatch):
+    """The points of the bed reach a little further than touches that are more on one side. At the
+    edge of reach of a real printer that ended an export with a traceback."""
+    printer, files = printer_files(tmp_path, 1, 5e-6)
+    (tmp_path / "map.csv").write_text(vp.height_map(printer, 1, 12e-3, 5e-6))
+    dataset = samples("rrf", [tmp_path / "map.csv", *files])
+    model = fit(configured(files).model, dataset, hold_out=0).model
+    touches = touches_in(dataset, model.joints)
+    reach = 0.9 * np.linalg.norm(Kinematics(model).direct(touches.q).position[:, :2], axis=1).max()
+    moves = BedFit.moves
+
+    def moves_within_reach(bed, firmware, points):
+        beyond = np.linalg.norm(points[:, :2], axis=1) > reach
+        return np.where(beyond[:, None], np.nan, moves(bed, firmware, points))
+
+    monkeypatch.setattr(BedFit, "moves", moves_within_reach)
+    done = export_into(model, "rrf", files, touches, force=True)
+    assert done.heights.after < 0.2 * done.heights.before
+    assert 0 < done.movement.largest < np.inf
 
 
 @pytest.mark.wide

@@ -192,7 +192,11 @@ def test_too_few_poses_to_leave_some_out_prove_nothing():
         fitted(true, few, fix=others)
     step = fitted(true, few, force=True, fix=others)
     assert step.document()["acceptance"]["judged"] is False
-    assert any("too few poses" in word for word in step.warnings)
+    [few_poses] = [word for word in step.warnings if "too few poses" in word]
+    assert "or hold out one pose at a time (--hold-out 0.001)" not in few_poses
+    step = fitted(true, few, force=True, fix=others, hold_out=0.5)
+    [few_poses] = [word for word in step.warnings if "too few poses" in word]
+    assert "or hold out one pose at a time (--hold-out 0.001)" in few_poses
 
 
 @pytest.fixture(scope="module")

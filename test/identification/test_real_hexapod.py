@@ -13,6 +13,7 @@ import pytest
 from test_implausible_readings import JUGGLEBOT, column_map, jugglebot
 
 from parallel_cal.cli import main as cli
+from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -45,23 +46,40 @@ def test_geometry_reaches_the_error_of_the_separate_fit(hexapod):
     assert held_out_mm(fit(*hexapod)) == pytest.approx(1.91, abs=0.1)
 
 
-@pytest.mark.wide
-@pytest.mark.parametrize("joint", [None, 3e-4], ids=["unknown", "guessed"])
-def test_lengths_in_m_without_a_drive_give_the_same_geometry(tmp_path, joint):
-    """Described otherwise: lengths by the stated travels, tolerances of 5 mm, and noise guessed as
-    0.3 mm and 1 mrad, which is several times too small."""
+def described_otherwise(folder, joint, *drives):
+    """Lengths by the stated travels, tolerances of 5 mm, and noise guessed as 0.3 mm and 1 mrad,
+    which is several times too small."""
     columns = {f"leg{i}": f"leg_length_{i}" for i in range(1, 7)}
     legs = json.loads(column_map(columns))
     for mm, leg in zip(STATED_MM, legs["joints"].values(), strict=True):
         leg |= {"unit": "rev", "per_rev": f"{mm} mm"}
-    (tmp_path / "map.yaml").write_text(json.dumps(legs))
-    table = jugglebot().mechanism.parameters
-    small = tuple(replace(one, tolerance=5e-3) for one in table)
+    (folder / "map.yaml").write_text(json.dumps(legs))
     mechanism = jugglebot().mechanism
-    mechanism.parameters = type(table)(small)
-    model = replace(new_model(mechanism), noise=Noise(joint, 3e-4, 1e-3))
-    data = load_dataset(JUGGLEBOT, mechanism=mechanism, columns=str(tmp_path / "map.yaml"))
+    small = tuple(replace(one, tolerance=5e-3) for one in mechanism.parameters)
+    mechanism.parameters = type(mechanism.parameters)(small)
+    data = load_dataset(JUGGLEBOT, mechanism=mechanism, columns=str(folder / "map.yaml"))
+    mechanism.drives = drives * 6
+    return replace(new_model(mechanism), noise=Noise(joint, 3e-4, 1e-3)), data
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("joint", [None, 3e-4], ids=["unknown", "guessed"])
+def test_lengths_in_m_without_a_drive_give_the_same_geometry(tmp_path, joint):
+    model, data = described_otherwise(tmp_path, joint)
     assert held_out_mm(fit(model, data)) == pytest.approx(1.91, abs=0.1)
+
+
+@pytest.mark.wide
+def test_lengths_in_m_without_a_drive_end_at_the_same_error_by_the_advice_of_the_diagnosis(
+    tmp_path,
+):
+    """It named crosstalk of the encoders, and ended at 0.94 mm."""
+    found = diagnose(*described_otherwise(tmp_path, None))
+    assert "encoder_gain" in found.effects
+    assert "drive: {kind: spool, radius: 0.05}" in found.unusual[0].description
+    stated = described_otherwise(tmp_path, None, Drive("spool", radius=0.0115, line="in"))
+    result = add(stated[0], "encoder_gain+spool_buildup", stated[1]).result
+    assert held_out_mm(result) == pytest.approx(0.68, abs=0.05)
 
 
 @pytest.mark.wide

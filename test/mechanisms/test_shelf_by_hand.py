@@ -576,3 +576,31 @@ def test_the_last_row_of_a_pentapod_says_how_far_its_spindle_turned_about_itself
 def test_struts_that_cannot_be_built_are_refused(name, options, message):
     with pytest.raises(ModelError, match=message):
         load_mechanism(name, **options)
+
+
+def test_the_lever_of_a_palletizers_forearm_may_be_longer_than_its_crank():
+    """The upper arm (0.4) is upright, the crank (0.3) points to (-0.3, 0). A push rod (0.4) from
+    there to (-0.412, 0.384) turns the lever, which ends (0.412, 0.016) from the elbow (0, 0.4)."""
+    lever = np.hypot(0.412, 0.016)
+    arm = load_mechanism(
+        "palletizer",
+        **{"shoulder": 0, "height": 0, "upper": 0.4, "forearm": 0.5, "crank": [0.3, lever]},
+        **{"wrist": 0, "tool": 0, "home": [0, RIGHT, 0, 0]},
+    )
+    wrist = np.array([0, 0.4]) + 0.5 * np.array([0.412, 0.016]) / lever
+    np.testing.assert_allclose(arm.home.position, [wrist[0], 0, wrist[1]], atol=1e-12)
+    found = Kinematics(new_model(arm)).direct([[0, RIGHT, 0, 0]])
+    np.testing.assert_allclose(found.position, [[wrist[0], 0, wrist[1]]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("crank", "words"),
+    [
+        ([0.1, 0.9], "crank is 0.1 and 0.9 m: the push rod of 0.45 m does not reach the"),
+        ([0.1, -0.1], "forearm lever \\(crank\\) is -0.1: expected one number, above 0"),
+        ([0.1, 0.1, 0.1], "crank is .*: expected one number, above 0"),
+    ],
+)
+def test_a_crank_that_cannot_be_is_named(crank, words):
+    with pytest.raises(ModelError, match=words):
+        load_mechanism("palletizer", crank=crank)

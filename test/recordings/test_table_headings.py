@@ -6,6 +6,7 @@ import pytest
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.table import read_table
@@ -158,6 +159,30 @@ def test_joints_that_are_not_numbered_alike_are_not_guessed(tmp_path, joints):
     model = arm(tmp_path, joints)
     with pytest.raises(DatasetError, match="no columns joint1, joint2, joint3"):
         load_dataset(tmp_path / "t.csv", joints=model.joints)
+
+
+def planar_table(folder, names):
+    rows = [names, *(["100", "120", "10.5", "-400", "0"][: len(names)] for _ in range(3))]
+    (folder / "t.csv").write_text("\n".join(map(",".join, rows)))
+    return folder / "t.csv"
+
+
+def test_a_robot_in_the_plane_of_x_and_y_needs_no_column_z(tmp_path):
+    """A plotter on two belts, measured by tape."""
+    plotter = load_mechanism("cable", anchors=[[-0.5, 0], [0.5, 0]], home=[0, -0.4])
+    table = planar_table(tmp_path, ["line1 [mm]", "line2 [mm]", "x [mm]", "y [mm]"])
+    data = load_dataset(table, mechanism=plotter)
+    np.testing.assert_allclose(data.r[0, :2], [10.5e-3, -0.4])
+    assert not data.measured[:, 2:].any()
+    table = planar_table(tmp_path, ["line1 [mm]", "line2 [mm]", "x [mm]", "why [mm]"])
+    with pytest.raises(DatasetError, match=r"t.csv:1: no columns x, y; the table has"):
+        load_dataset(table, mechanism=plotter)
+
+
+def test_a_robot_that_moves_in_space_needs_x_y_and_z(tmp_path):
+    names = ["joint1 [rad]", "joint2 [rad]", "joint3 [rad]", "x [mm]", "y [mm]"]
+    with pytest.raises(DatasetError, match="no columns x, y, z; the table has"):
+        load_dataset(planar_table(tmp_path, names), mechanism=load_mechanism("delta24"))
 
 
 def test_two_groups_of_joints_are_not_guessed(tmp_path):
