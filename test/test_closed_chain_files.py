@@ -115,6 +115,26 @@ def test_a_ball_that_closes_a_loop_of_a_urdf_is_written_into_both_of_its_links(t
     assert np.abs(one.position - before.position).max() > 1e-3
 
 
+def test_a_strut_whose_reading_falls_as_it_grows_is_written_where_it_hangs(tmp_path):
+    """Its slide hangs on a ball that the file has as a hinge and a ball 0.05 m along its axis."""
+    path = written(tmp_path, "robot.urdf", own.STRUT_URDF, own.STRUT_LOOP)
+    model = chain([path], "base", "tip").model
+    assert model.mechanism.skeleton.joints[1].type == "universal"
+    q = np.linspace(-0.02, 0.03, 6)[:, None]
+    found = Kinematics(model).direct(q)
+    expected = [own.lever_tip(*reading) for reading in q]
+    assert np.abs(found.position[:, :2] - expected).max() < 1e-12
+    step = {"holder_hinge.x": 1e-3, "holder_hinge.y": -2e-3, "motor.zero": 5e-4}
+    better = model.with_values(
+        model.table.vector({name: model.value(name) + change for name, change in step.items()})
+    )
+    export_into(better, "urdf", [path])
+    again = chain([path], "base", "tip").model
+    one, other = (Kinematics(each).direct(q) for each in (better, again))
+    assert np.abs(one.position - found.position).max() > 1e-3
+    assert np.abs(one.position - other.position).max() < 1e-11
+
+
 def foot_by_hand(left, right):
     """Solve both rod lengths of the ankle for pitch and roll; return the toe in the shank."""
 

@@ -34,9 +34,15 @@ def simplify(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -
     joints = [
         part
         for joint in merged.joints
-        for part in (joint.parts if joint.kind == "universal" and joint.parts else (joint,))
+        for part in (joint.parts if _is_two_hinges(joint) else (joint,))
     ]
     return replace(merged, joints=tuple(joints))
+
+
+def _is_two_hinges(joint: LinkageJoint) -> bool:
+    """Whether a joint is universal by its hinges: a ball without spin has one more."""
+    turns = sum(TURNING[part.kind] for part in joint.parts)
+    return joint.kind == "universal" and turns == TURNING["universal"]
 
 
 def _merge(
@@ -163,7 +169,7 @@ def without_spin(ball: LinkageJoint, slide: LinkageJoint) -> LinkageJoint:
         along = ball.origin[:3, :3].T @ along
     first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     first = first / np.linalg.norm(first)
-    return replace(ball, kind="universal", axes=(first, np.cross(along, first)), parts=())
+    return replace(ball, kind="universal", axes=(first, np.cross(along, first)))
 
 
 def _bodies_of(one: LinkageJoint | LinkageLoop) -> tuple[str, str]:
