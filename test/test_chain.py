@@ -151,7 +151,8 @@ def test_an_idle_turn_is_held_and_named():
     up = (np.array([0, 0, 0.3]) + top - foot) / np.linalg.norm(np.array([0, 0, 0.3]) + top - foot)
     length, limits = leg["length"], leg["limits"]
     joints = [
-        {"name": "foot", "type": "spherical", "parent": "base", "child": "barrel", "origin": foot},
+        {"name": "foot", "type": "spherical", "parent": "base", "child": "barrel", "origin": foot,
+         "home": [0.2, 0.1, 0.3]},
         {"name": "leg1", "type": "prismatic", "parent": "barrel", "child": "piston",
          "axis": up.tolist(), "origin": (length * up).tolist(), "driven": True,
          "home": leg["home"], "limits": limits},
@@ -160,7 +161,7 @@ def test_an_idle_turn_is_held_and_named():
                 "b": {"body": "plate", "point": top}}  # fmt: skip
     other = given | {"joints": joints, "loops": [*given["loops"][1:], top_ball]}
     model = make_chain(other)
-    assert len(model.mechanism.held) == 1
+    assert model.mechanism.held == {"foot.3": 0.3}  # it rests where it is drawn
     assert "turn idly" in " ".join(model.mechanism.remarks)
     order = [model.joints.index(name) for name in pc.new_model("stewart42").joints]
     q = np.array(pc.new_model("stewart42").mechanism.home.joints) + 0.01 * np.arange(6)
@@ -222,6 +223,21 @@ def test_a_chain_that_moves_with_locked_motors_is_refused_and_a_joint_that_moves
     expected = "move in 1 of its 2 freedoms.*if right(_elbow)?, which moves most, rests"
     with pytest.raises(ModelError, match=expected):
         make_chain(with_driven(("left",)))
+
+
+def test_a_home_with_both_rods_in_line_is_refused_with_a_regular_one():
+    """Both cranks upright: 0.1 m between the elbows, and two rods of 0.05 m."""
+    given = chains.five_bar(base=0.1, crank=0.1, bar=0.05)
+    for joint, home in zip(given["joints"], deg(90, -90, 90, 90), strict=True):
+        joint["home"] = home
+    with pytest.raises(ModelError, match="singular at home: two assembly modes meet there") as error:
+        make_chain(given)
+    stated = str(error.value).partition("regular at ")[2].partition(": state these")[0]
+    values = {part.split()[0]: float(part.split()[1]) for part in stated.split(", ")}
+    model = make_chain(given | {"joints": [j | {"home": values[j["name"]]} for j in given["joints"]]})
+    assert model.mechanism.home.passive == pytest.approx(
+        [values["left_elbow"], values["right_elbow"]], abs=1e-5
+    )
 
 
 def test_a_tilted_axis_of_a_plane_robot_still_closes():

@@ -336,19 +336,44 @@ def listed_urdf(tmp_path, loops, urdf):
 
 
 def test_a_chain_that_closes_with_other_readings_has_its_home_there(tmp_path):
-    """At zero of both cranks the rods do not meet: each crank points away from the other one."""
+    """At zero of both cranks the rods do not meet: each crank points away from the other one, and
+    the rods nearly to one another."""
     text = own.five_bar_urdf("")
-    for angle, drawn in ((own.LEFT, np.pi), (own.RIGHT, 0.0)):
+    turns = (own.LEFT, np.pi), (own.RIGHT, 0.0)
+    bends = (own.BENDS[0], np.pi + 0.1), (own.BENDS[1], np.pi - 0.1)
+    for angle, drawn in (*turns, *bends):
         text = text.replace(f"0 0 {angle!r}", f"0 0 {drawn!r}")
     text = text.replace(f'xyz="{own.ROD} 0 0"', 'xyz="0.14 0 0"')
     found = chain([listed_urdf(tmp_path, own.LOOP_FILE, text)], "frame", "tip")
     left, right = found.model.mechanism.home.joints
     one = np.array([-own.HALF, 0]) + own.CRANK * np.array([-np.cos(left), -np.sin(left)])
     other = np.array([own.HALF, 0]) + own.CRANK * np.array([np.cos(right), np.sin(right)])
-    assert np.linalg.norm(one - other) <= 0.28
+    # At the nearest readings, the rods are in line: 0.28 m. Home is where they are not.
+    assert np.linalg.norm(one - other) < 0.9 * 0.28
+    assert Kinematics(found.model).direct([left, right] + 0.5 * ANGLES).ok.all()
     assert f"home is where the loops close next to the file's zero: left {left:.6g} rad" in (
         " ".join(found.remarks)
     )
+
+
+def test_a_chain_that_is_drawn_where_it_is_singular_has_a_regular_home_beside_it(tmp_path):
+    """Both cranks are upright, 0.1 m apart, and both rods of 0.05 m lie on the line between."""
+    text = own.five_bar_urdf("")
+    turns = (own.LEFT, np.pi / 2), (own.RIGHT, np.pi / 2)
+    bends = (own.BENDS[0], -np.pi / 2), (own.BENDS[1], np.pi / 2)
+    for angle, drawn in (*turns, *bends):
+        text = text.replace(f"0 0 {angle!r}", f"0 0 {drawn!r}")
+    text = text.replace(f'xyz="{own.ROD} 0 0"', 'xyz="0.05 0 0"')
+    found = chain([listed_urdf(tmp_path, own.LOOP_FILE, text)], "frame", "tip")
+    left, right = found.model.mechanism.home.joints
+    apart = np.array([2 * own.HALF, 0]) + own.CRANK * (
+        np.array([-np.sin(right), np.cos(right)]) - np.array([-np.sin(left), np.cos(left)])
+    )
+    assert np.linalg.norm(apart) < 0.095
+    assert Kinematics(found.model).direct([left, right] + 0.1 * ANGLES).ok.all()
+    said = " ".join(found.remarks)
+    assert "where the chain is singular: left" in said
+    assert "left_elbow" in said
 
 
 def test_loops_that_close_nowhere_are_named_with_what_may_be_wrong(tmp_path):
