@@ -165,6 +165,18 @@ def test_an_ankle_with_rods_of_an_mjcf_moves_as_its_rod_lengths_demand(tmp_path)
     assert np.abs(Kinematics(model).direct(ANGLES).position - expected).max() < 1e-9
 
 
+def test_the_mass_of_a_rod_is_shared_by_the_bodies_at_its_ends(tmp_path):
+    """Its centre is 0.1 m from the crank's ball, of 0.25 m to the heel's."""
+    ball = '<joint name="left_ball" type="ball"/>'
+    inertial = '<inertial mass="0.5" pos="0.01 0 -0.1" diaginertia="1 1 1"/>'
+    text = own.ANKLE_MJCF.replace(ball, ball + inertial)
+    mechanism = chain([written(tmp_path, "ankle.xml", text)], platform="toe").model.mechanism
+    assert mechanism.masses == pytest.approx({"left_crank": 0.3, "foot": 0.2})
+    given = mechanism.options["masses"]
+    assert given["left_crank"]["centre"] == pytest.approx([-0.05, 0, 0])
+    assert given["foot"]["centre"] == pytest.approx([-0.05, 0.035, 0])
+
+
 def test_rod_lengths_balls_and_the_target_of_an_ankle_go_into_its_mjcf(tmp_path):
     path = written(tmp_path, "ankle.xml", own.ANKLE_MJCF)
     model = chain([path], platform="toe").model
