@@ -280,17 +280,21 @@ class MuJoCo(Peer):
         acted = {int(m.actuator_trnid[k, 0]) for k in range(m.nu)}
         known = {int(m.joint(name).dofadr[0]) for name in (*model.joints, *still_joints(model, robot))}
         known |= {int(m.jnt_dofadr[k]) for k in acted if robot.driven == ()}
-        if m.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:  # the base stays where it is
-            known |= set(range(6))
+        names = {m.site(k).name: ("site", k) for k in range(m.nsite)}
+        names |= {m.body(k).name: ("body", k) for k in range(m.nbody)}
+        self._ends = [names[name] for name in (robot.base, robot.platform)]
+        kind, body = self._ends[0]
+        body = int(m.site_bodyid[body]) if kind == "site" else body
+        while body:  # the base stays where it is, also if it floats
+            first = int(m.body_dofadr[body])
+            known |= set(range(first, first + int(m.body_dofnum[body])))
+            body = int(m.body_parentid[body])
         self.unknown = [k for k in range(m.nv) if k not in known]
         self.start = m.key_qpos[0].copy() if m.nkey else m.qpos0.copy()
         for name in robot.locked:
             self.start[int(m.joint(name).qposadr[0])] = 0.0
         self.home = np.array(model.mechanism.home.joints)
         self.size = m.nv
-        names = {m.site(k).name: ("site", k) for k in range(m.nsite)}
-        names |= {m.body(k).name: ("body", k) for k in range(m.nbody)}
-        self._ends = [names[name] for name in (robot.base, robot.platform)]
 
     def state(self, x: Array, q: Array) -> Array:
         x = x.copy()

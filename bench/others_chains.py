@@ -44,8 +44,9 @@ Array = np.ndarray
 
 SHARE = 0.7  # of the tolerances, by which the true robot strays
 POSES, UNSEEN, COMPARED = 80, 100, 200
-POSITION, READING = 1e-4, 3e-5  # m a coordinate, rad: noise of the measurements and readings
-SPREAD = 0.3  # rad of the readings around home; of slides, this share of the model's length
+# Noise of positions (m a coordinate) and readings (rad), and how far readings are from home (rad).
+# Those of slides are these times the length of the model.
+POSITION, READING, SPREAD = 1e-4, 3e-5, 0.3
 BACKLASH, PAYLOAD = 4e-3, 10.0  # rad, kg
 GEPETTO, ANKLES = "example-parallel-robots/robots", "Parallel_Ankle_Joint"
 
@@ -184,9 +185,7 @@ class Case:
         peer.begin(true)
         low, high = np.transpose(nominal.mechanism.joint_limits)
         shifts = np.random.default_rng([seed, 2]).uniform(-1, 1, (800, len(low)))
-        m = nominal.mechanism
-        reach = robot.spread * np.where(np.array(m.joint_units) == "m", m.length, 1.0)
-        readings = np.clip(peer.home + reach * shifts, low, high)
+        readings = np.clip(peer.home + robot.spread * unit_sizes(nominal) * shifts, low, high)
         return cls(nominal, true, peer, readings[Kinematics(nominal).direct(readings).ok], robot)
 
     def compared(self) -> tuple[float, float, int]:
@@ -216,67 +215,72 @@ class Case:
     def _visits(self, rng: np.random.Generator, hidden: str) -> Iterator[tuple[Any, ...]]:
         """Yield number, reading, position, rotation, sides of the last motions, payload."""
         done = 0
-        first = np.eye(len(self.nominal.joints))[0]
+        play = BACKLASH * unit_sizes(self.nominal) * np.eye(len(self.nominal.joints))[0]
         loaded, compliance = 0, 0.0
         if hidden == "joint_compliance":
-            loaded, compliance = self.most_loaded(), self.compliance()
+            loaded, compliance = self.compliance()
         for q in self.readings:
+            visits = []
             try:
                 x = self.peer.reach(q)
-            except ValueError:
-                continue
-            for _ in range(2 if done < POSES else 1):
-                side, load, there = rng.choice([-1.0, 1.0], len(q)), 0.0, x
-                if hidden == "backlash":
-                    there = self.peer.close(self.peer.state(x, q - BACKLASH / 2 * side * first))
-                elif hidden:
-                    load = PAYLOAD * rng.random()
-                    angle = q.copy()
-                    for _ in range(3):  # the load depends on the deflection
-                        there = self.peer.close(self.peer.state(there, angle))
-                        torque = self.peer.torque(there, angle, load)[loaded]
+                for _ in range(2 if done < POSES else 1):
+                    side, load, there = rng.choice([-1.0, 1.0], len(q)), 0.0, x
+                    if hidden == "backlash":
+                        there = self.peer.close(self.peer.state(x, q - side * play / 2))
+                    elif hidden:
+                        load = PAYLOAD * rng.random()
                         angle = q.copy()
-                        angle[loaded] += compliance * torque
-                    there = self.peer.close(self.peer.state(there, angle))
-                yield done, q, *self.peer.pose(there), side, load
+                        for _ in range(3):  # the load depends on the deflection
+                            there = self.peer.close(self.peer.state(there, angle))
+                            torque = self.peer.torque(there, angle, load)[loaded]
+                            angle = q.copy()
+                            angle[loaded] += compliance * torque
+                        there = self.peer.close(self.peer.state(there, angle))
+                    visits.append((done, q, *self.peer.pose(there), side, load))
+            except ValueError:  # out of reach, with the effect or without it
+                continue
+            yield from visits
             done += 1
             if done == POSES + UNSEEN:
                 return
         raise ValueError(f"only {done} poses of {POSES + UNSEEN} can be reached")
 
-    def compliance(self) -> float:
-        """Return a compliance that deflects the most loaded motor by the size of the backlash."""
-        torques = [
-            np.abs(self.peer.torque(self.peer.reach(q), q, PAYLOAD)).max()
-            for q in self.readings[:10]
-        ]
-        return BACKLASH / float(np.median(torques))
-
-    def most_loaded(self) -> int:
-        """Return the number of the motor that a payload loads most."""
-        torques = [np.abs(self.peer.torque(self.peer.reach(q), q, 1.0)) for q in self.readings[:10]]
-        return int(np.argmax(np.median(torques, axis=0)))
+    def compliance(self) -> tuple[int, float]:
+        """Return the number of the motor that a payload loads most, and a compliance that deflects
+        it by the size of the backlash."""
+        sizes = unit_sizes(self.nominal)
+        loads = [self.peer.torque(self.peer.reach(q), q, PAYLOAD) for q in self.readings[:10]]
+        usual = np.median(np.abs(loads), axis=0)  # Nm; N of a slide
+        most = int(np.argmax(usual * sizes))
+        return most, float(BACKLASH * sizes[most] / usual[most])
 
     def _dataset(
         self, visits: list[tuple[Any, ...]], rng: np.random.Generator, share: float, hidden: str
     ) -> Dataset:
         number, q, r, R, side, load = (np.array(part) for part in zip(*visits, strict=True))
+        sigma = READING * unit_sizes(self.nominal)
         conditions = {"payload": load} if hidden == "joint_compliance" else {}
         if hidden == "backlash":
             sides = zip(self.nominal.joints, side.T, strict=True)
             conditions |= {f"direction.{joint}": each for joint, each in sides}
         return Dataset.from_arrays(
             self.nominal.joints,
-            q + share * READING * rng.standard_normal(q.shape),
+            q + share * sigma * rng.standard_normal(q.shape),
             r + share * POSITION * rng.standard_normal(r.shape),
             R,
             measured=[True] * 3 + [False] * 3,
             pose_cov=np.diag([POSITION**2] * 3 + [1.0] * 3),  # orientations are not measured
-            joint_sigma=READING,
+            joint_sigma=sigma,
             pose_id=number,
             frame="base",
             conditions=conditions,
         )
+
+
+def unit_sizes(model: Model) -> Array:
+    """Return 1 rad for each turning joint and the length of the model for each slide."""
+    m = model.mechanism
+    return np.where(np.array(m.joint_units) == "m", m.length, 1.0)
 
 
 def error(model: Model, data: Dataset) -> float:
