@@ -200,6 +200,22 @@ def test_rod_lengths_balls_and_the_target_of_an_ankle_go_into_its_mjcf(tmp_path)
     assert again.value("right_bar.length") == pytest.approx(0.198, abs=1e-12)
 
 
+def test_a_site_that_is_the_platform_and_the_end_of_a_loop_is_at_one_place(tmp_path):
+    path = written(tmp_path, "ankle.xml", own.ANKLE_MJCF)
+    model = chain([path], platform="left_heel").model
+    shift = {"target.x": model.value("target.x") + 1e-3}
+    apart = model.with_values(model.table.vector(shift))
+    words = "'left_heel' is the platform and the end of a loop, which are 1 mm apart now"
+    with pytest.raises(ModelError, match=words):
+        export_into(apart, "mjcf", [path])
+    end = {"left_bar.b_x": model.value("left_bar.b_x") + 1e-3}
+    together = model.with_values(model.table.vector(shift | end))
+    export_into(together, "mjcf", [path])
+    again = chain([path], platform="left_heel").model
+    one, other = (Kinematics(each).direct(ANGLES).position for each in (together, again))
+    assert np.abs(one - other).max() < 1e-11
+
+
 def test_the_joints_of_an_arm_without_loops_can_be_a_chain(tmp_path):
     path = written(tmp_path, "arm.urdf", own.five_bar_urdf(""))
     model = chain([path], platform="tip", driven=["left", "left_elbow"]).model

@@ -196,9 +196,7 @@ def locked(joint: LinkageJoint) -> LinkageJoint:
     )
 
 
-def add_mass(
-    masses: dict[str, tuple[float, Array]], body: str, mass: float, point: Array
-) -> None:
+def add_mass(masses: dict[str, tuple[float, Array]], body: str, mass: float, point: Array) -> None:
     """Add a mass (kg) at a point (3,) m of a body to the mass and the centre of the body."""
     before, centre = masses.get(body, (0.0, np.zeros(3)))
     whole = before + mass
