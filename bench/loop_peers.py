@@ -278,7 +278,9 @@ class MuJoCo(Peer):
         joints = [m.joint(name) for name in model.joints]
         self._driven = [int(joint.qposadr[0]) for joint in joints]
         acted = {int(m.actuator_trnid[k, 0]) for k in range(m.nu)}
-        known = {int(m.joint(name).dofadr[0]) for name in (*model.joints, *still_joints(model, robot))}
+        known = {
+            int(m.joint(name).dofadr[0]) for name in (*model.joints, *still_joints(model, robot))
+        }
         known |= {int(m.jnt_dofadr[k]) for k in acted if robot.driven == ()}
         names = {m.site(k).name: ("site", k) for k in range(m.nsite)}
         names |= {m.body(k).name: ("body", k) for k in range(m.nbody)}

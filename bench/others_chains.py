@@ -21,6 +21,7 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -249,7 +250,12 @@ class Case:
         """Return the number of the motor that a payload loads most, and a compliance that deflects
         it by the size of the backlash."""
         sizes = unit_sizes(self.nominal)
-        loads = [self.peer.torque(self.peer.reach(q), q, PAYLOAD) for q in self.readings[:10]]
+        loads = list[Array]()
+        for q in self.readings:
+            with suppress(ValueError):  # out of reach
+                loads.append(self.peer.torque(self.peer.reach(q), q, PAYLOAD))
+            if len(loads) == 10:
+                break
         usual = np.median(np.abs(loads), axis=0)  # Nm; N of a slide
         most = int(np.argmax(usual * sizes))
         return most, float(BACKLASH * sizes[most] / usual[most])

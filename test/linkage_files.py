@@ -256,8 +256,8 @@ STRUT_LOOP = "closed_loop: [[pin, eye]]\ntype: [3d]\nname_mot: [motor]\n"
 
 
 def lever_tip(reading):
-    """Return the tip of the lever (x, y): its angle follows from the strut of 0.25 m - reading, from
-    (0.15, 0) to the eye at 0.2 m, by the law of cosines."""
+    """Return the tip of the lever (x, y): its angle follows by the law of cosines from the strut of
+    0.25 m - reading, from (0.15, 0) to the eye at 0.2 m."""
     at_hinge = np.arccos((0.2**2 + 0.15**2 - (0.25 - reading) ** 2) / (2 * 0.2 * 0.15))
     c, s = np.cos(at_hinge - np.pi / 2), np.sin(at_hinge - np.pi / 2)
     return np.array([c * 0.05 - s * 0.25, s * 0.05 + c * 0.25])

@@ -230,14 +230,17 @@ def test_a_home_with_both_rods_in_line_is_refused_with_a_regular_one():
     given = chains.five_bar(base=0.1, crank=0.1, bar=0.05)
     for joint, home in zip(given["joints"], deg(90, -90, 90, 90), strict=True):
         joint["home"] = home
-    with pytest.raises(ModelError, match="singular at home: two assembly modes meet there") as error:
+    with pytest.raises(
+        ModelError, match="singular at home: two assembly modes meet there"
+    ) as error:
         make_chain(given)
     stated = str(error.value).partition("regular at ")[2].partition(": state these")[0]
     values = {part.split()[0]: float(part.split()[1]) for part in stated.split(", ")}
-    model = make_chain(given | {"joints": [j | {"home": values[j["name"]]} for j in given["joints"]]})
-    assert model.mechanism.home.passive == pytest.approx(
-        [values["left_elbow"], values["right_elbow"]], abs=1e-5
-    )
+    for joint in given["joints"]:
+        joint["home"] = values[joint["name"]]
+    at_home = make_chain(given).mechanism.home
+    elbows = [values[f"{side}_elbow"] for side in ("left", "right")]
+    assert at_home.passive == pytest.approx(elbows, abs=1e-5)
 
 
 def test_a_tilted_axis_of_a_plane_robot_still_closes():

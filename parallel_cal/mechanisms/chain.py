@@ -336,9 +336,7 @@ class Chain(Mechanism):
             f"is too stiff{ROUNDED if np.abs(left).max() < MAX_ROUNDED_M else ''}"
         )
 
-    def _other_home(
-        self, x: np.ndarray, problem: str, singular: bool = False
-    ) -> OpenLoopsError:
+    def _other_home(self, x: np.ndarray, problem: str, singular: bool = False) -> OpenLoopsError:
         """Make the error that states another home, after a problem with the stated one."""
         at = Configuration.from_rows(x, len(self.passive))
         values = dict(zip([*self.joints, *self.passive], [*at.q, *at.u], strict=True))
