@@ -3,7 +3,7 @@
 Put the repositories that `ROBOTS` names into one folder, each under its own name, and run
 
     .venv/bin/pip install mujoco pin
-    PYTHONPATH=. .venv/bin/python bench/others_chains.py FOLDER [NAME ...] [--hidden] [--seeds 3]
+    PYTHONPATH=. .venv/bin/python bench/others_chains.py FOLDER [NAME ...] [--hidden | --drawn]
 
 For each robot, a model is made of its file, strays from the drawing by its tolerances, and is
 written into a copy of the file. Pinocchio (URDF) or MuJoCo (MJCF) reads the copy: that is the true
@@ -12,6 +12,8 @@ measured, and the model as drawn is calibrated with the measurements.
 
 With `--hidden`, two more of these robots are diagnosed: one has a backlash of its first motor, the
 other a compliance of the motor that is loaded most, under a payload and the weights of its links.
+
+With `--drawn`, only the motion of the file as it is drawn is compared.
 """
 
 from __future__ import annotations
@@ -146,6 +148,13 @@ ROBOTS = {
         body="left_pad",
         driven=("left_driver_joint", "left_spring_link_joint"),
     ),
+    "hexapod of raincut": Robot(
+        "stewart_mujoco/stewart.xml", "base", "reflector", body="TOP_1", spread=0.1
+    ),
+    "five-bar of TumAro": Robot("5_bar/five_bar.xml", "world", "reflector", body="E1"),
+    "leg of Charlotte-Nao": Robot(
+        "wheel-leg-mujoco/model/leg.xml", "chassis", "reflector", body="link_BC"
+    ),
 }
 
 
@@ -160,22 +169,23 @@ class Case:
     robot: Robot
 
     @classmethod
-    def make(cls, folder: Path, robot: Robot, seed: int) -> Case:
+    def make(cls, folder: Path, robot: Robot, seed: int, share: float = SHARE) -> Case:
         """Draw a true robot and write it into a copy of the file."""
         with TemporaryDirectory() as copy:
             path = robot.copy(folder / robot.file, Path(copy))
-            return cls.written(path, robot, seed)
+            return cls.written(path, robot, seed, share)
 
     @classmethod
-    def written(cls, path: Path, robot: Robot, seed: int) -> Case:
-        """Draw a true robot and write it into the file."""
+    def written(cls, path: Path, robot: Robot, seed: int, share: float) -> Case:
+        """Draw a true robot, which strays by a share of the tolerances, and write it into the
+        file."""
         nominal = robot.read(path)
         rng = np.random.default_rng([seed, 1])
         step = rng.standard_normal(len(nominal.values)) * ~np.array(nominal.fixed)
         for k, name in enumerate(nominal.table.names):
             if name.endswith((".rx", ".ry")) and name.startswith(tuple(robot.parallel)):
                 step[k] = 0.0
-        true = nominal.with_values(nominal.values + SHARE * nominal.table.tolerance * step)
+        true = nominal.with_values(nominal.values + share * nominal.table.tolerance * step)
         urdf = path.suffix == ".urdf"
         drawn = (Pinocchio if urdf else MuJoCo)(path, nominal, robot)
         drawn.begin(nominal)
@@ -294,6 +304,14 @@ def error(model: Model, data: Dataset) -> float:
     return 1e6 * float(np.sqrt(np.nanmean(compare(model, data).errors.norms("position") ** 2)))
 
 
+def compare_drawn(name: str, folder: Path) -> None:
+    """Print how far the model of a file and the file itself are apart."""
+    case = Case.make(folder, ROBOTS[name], 0, share=0.0)
+    apart, turned, n = case.compared()
+    passive = len(case.nominal.mechanism.passive)
+    print(f"{name}: {passive} passive coordinates, differs {apart:.0e} m {turned:.0e} at {n}")
+
+
 def study(name: str, folder: Path, seed: int, hidden: bool) -> None:
     """Print a line for a robot."""
     begin = time.process_time()
@@ -326,6 +344,7 @@ def main(
     folder: Annotated[Path | None, typer.Argument(help="with the repositories of others")] = None,
     names: Annotated[list[str] | None, typer.Argument(help="robots; default: all")] = None,
     hidden: bool = False,
+    drawn: bool = False,
     seeds: int = 1,
 ) -> None:
     """Compare and calibrate the robots of others."""
@@ -335,7 +354,10 @@ def main(
     for name in names or ROBOTS:
         for seed in range(seeds):
             try:
-                study(name, folder, seed, hidden)
+                if drawn:
+                    compare_drawn(name, folder)
+                else:
+                    study(name, folder, seed, hidden)
             except (ParallelCalError, ValueError) as problem:
                 print(f"{name} seed {seed}: {type(problem).__name__}: {problem}", flush=True)
 
