@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from scipy.optimize import least_squares
 
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
@@ -88,14 +89,15 @@ class Peer:
             if self.column(name) in self.unknown
         }
         drawn = self.state(self.start, self.home)
+        rest = [column for column in self.unknown if column not in known]
         for k in range(-1, TRIES):  # first where it starts
             change = np.zeros(self.size)
-            if k > 0:
-                change[self.unknown] = rng.uniform(-1, 1, len(self.unknown)) * min(3.1, 0.3 * k)
-            for column, value in known.items():
-                change[column] = value if k >= 0 else 0.0
+            if k >= 0:
+                change[[*known]] = [*known.values()]
+                change[rest] = rng.uniform(-1, 1, len(rest)) * min(3.1, 0.3 * k)
             try:
-                x = self.close(self.moved(drawn, change))
+                x = self.moved(drawn, change)
+                x = self.close(self.nearer(x, rest) if k >= 0 else x)
             except ValueError:
                 continue
             r, R = self.pose(x)
@@ -103,6 +105,18 @@ class Peer:
                 self.start = x
                 return
         raise ValueError("no closed configuration near the home of the model was found")
+
+    def nearer(self, x: Array, columns: list[int]) -> Array:
+        """Return the configuration with the smallest gaps that changes of some joints reach: far
+        from a solution, Newton's method alone leaves them."""
+
+        def moved(step: Array) -> Array:
+            change = np.zeros(self.size)
+            change[columns] = step
+            return self.moved(x, change)
+
+        found = least_squares(lambda step: self.rows(moved(step))[0], np.zeros(len(columns)))
+        return moved(found.x)
 
     def reach(self, q: Array) -> Array:
         """Follow the loops from home to readings (nq,), and return the configuration there."""
@@ -142,13 +156,31 @@ class Pinocchio(Peer):
         ]
         driven = [m.getJointId(name) for name in model.joints]
         self._driven = [m.idx_qs[k] for k in driven]
-        known = {*driven, *map(m.getJointId, (*said["name_mot"], *robot.locked))}
+        known = {*driven, *map(m.getJointId, (*said["name_mot"], *still_joints(model, robot)))}
         self.unknown = [
             m.idx_vs[k] + i for k in range(1, m.njoints) if k not in known for i in range(m.nvs[k])
         ]
         self.size = m.nv
         self._ends = [m.getFrameId(name) for name in (robot.base, robot.platform)]
         self.start, self.home = pin.neutral(m), np.array(model.mechanism.home.joints)
+        self._keep_one_leg([m.idx_vs[k] for k in driven])
+
+    def _keep_one_leg(self, driven: list[int]) -> None:
+        """Keep the loops, and the unknown joints in them, that share joints with the driven ones:
+        another leg of the file has no part in this one."""
+        x = self._pin.integrate(
+            self._model, self.start, np.random.default_rng(1).uniform(-1, 1, self.size)
+        )
+        found, rest, loops = {*driven}, {*self.unknown}, self._loops
+        joints = []
+        for loop in loops:
+            self._loops = [loop]
+            joints.append({*np.flatnonzero(np.abs(self.rows(x)[1]).max(axis=0)).tolist()})
+        for _ in loops:
+            for own in joints:
+                found |= own if own & found & {*driven, *rest} else set()
+        self._loops = [one for one, own in zip(loops, joints, strict=True) if own & found & rest]
+        self.unknown = [k for k in self.unknown if k in found]
 
     def column(self, name: str) -> int:
         k = self._model.getJointId(name)
@@ -198,6 +230,13 @@ class Pinocchio(Peer):
         return self._data.oMf[self._ends[0]].rotation.T @ np.array([0.0, 0.0, -1.0])
 
 
+def still_joints(model: Model, robot: Any) -> list[str]:
+    """Return the passive joints that do not move: locked ones, and idle ones, which would turn as
+    soon as an error of the geometry lets them."""
+    held = [name.partition(".")[0] for name in model.mechanism.held]
+    return [*robot.locked, *dict.fromkeys(held)]
+
+
 def with_kinds(pin: Any, model: Any, kinds: dict[str, str]) -> Any:
     """Return a Pinocchio model whose listed joints are balls or universal joints; without a list,
     those with `spherical` in their names are balls, as the tool has it that writes such files."""
@@ -239,19 +278,25 @@ class MuJoCo(Peer):
         joints = [m.joint(name) for name in model.joints]
         self._driven = [int(joint.qposadr[0]) for joint in joints]
         acted = {int(m.actuator_trnid[k, 0]) for k in range(m.nu)}
-        known = {int(m.joint(name).dofadr[0]) for name in (*model.joints, *robot.locked)}
+        known = {
+            int(m.joint(name).dofadr[0]) for name in (*model.joints, *still_joints(model, robot))
+        }
         known |= {int(m.jnt_dofadr[k]) for k in acted if robot.driven == ()}
-        if m.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:  # the base stays where it is
-            known |= set(range(6))
+        names = {m.site(k).name: ("site", k) for k in range(m.nsite)}
+        names |= {m.body(k).name: ("body", k) for k in range(m.nbody)}
+        self._ends = [names[name] for name in (robot.base, robot.platform)]
+        kind, body = self._ends[0]
+        body = int(m.site_bodyid[body]) if kind == "site" else body
+        while body:  # the base stays where it is, also if it floats
+            first = int(m.body_dofadr[body])
+            known |= set(range(first, first + int(m.body_dofnum[body])))
+            body = int(m.body_parentid[body])
         self.unknown = [k for k in range(m.nv) if k not in known]
         self.start = m.key_qpos[0].copy() if m.nkey else m.qpos0.copy()
         for name in robot.locked:
             self.start[int(m.joint(name).qposadr[0])] = 0.0
         self.home = np.array(model.mechanism.home.joints)
         self.size = m.nv
-        names = {m.site(k).name: ("site", k) for k in range(m.nsite)}
-        names |= {m.body(k).name: ("body", k) for k in range(m.nbody)}
-        self._ends = [names[name] for name in (robot.base, robot.platform)]
 
     def state(self, x: Array, q: Array) -> Array:
         x = x.copy()

@@ -3,7 +3,7 @@
 Put the repositories that `ROBOTS` names into one folder, each under its own name, and run
 
     .venv/bin/pip install mujoco pin
-    .venv/bin/python -m bench.truth.others_chains FOLDER [NAME ...] [--hidden] [--seeds 3]
+    .venv/bin/python -m bench.truth.others_chains FOLDER [NAME ...] [--hidden | --drawn]
 
 For each robot, a model is made of its file, strays from the drawing by its tolerances, and is
 written into a copy of the file. Pinocchio (URDF) or MuJoCo (MJCF) reads the copy: that is the true
@@ -12,6 +12,8 @@ measured, and the model as drawn is calibrated with the measurements.
 
 With `--hidden`, two more of these robots are diagnosed: one has a backlash of its first motor, the
 other a compliance of the motor that is loaded most, under a payload and the weights of its links.
+
+With `--drawn`, only the motion of the file as it is drawn is compared.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -44,8 +47,9 @@ Array = np.ndarray
 
 SHARE = 0.7  # of the tolerances, by which the true robot strays
 POSES, UNSEEN, COMPARED = 80, 100, 200
-POSITION, READING = 1e-4, 3e-5  # m a coordinate, rad: noise of the measurements and readings
-SPREAD = 0.3  # rad or m, of the readings around home
+# Noise of positions (m a coordinate) and readings (rad), and how far readings are from home (rad).
+# Those of slides are these times the length of the model.
+POSITION, READING, SPREAD = 1e-4, 3e-5, 0.3
 BACKLASH, PAYLOAD = 4e-3, 10.0  # rad, kg
 GEPETTO, ANKLES = "example-parallel-robots/robots", "Parallel_Ankle_Joint"
 
@@ -63,6 +67,7 @@ class Robot:
     parallel: Sequence[str] = ()  # axes that are not tilted: plane loops do not close otherwise
     length_tolerance: float = 5e-4  # m
     angle_tolerance: float = float(np.radians(0.5))
+    spread: float = SPREAD
 
     def read(self, path: Path) -> Model:
         """Make the model of a file of this robot."""
@@ -104,15 +109,11 @@ ROBOTS = {
         ("digit_like_2legs", "torso", "foot", ()),
         ("disney_like", "hip_part", "foot", ("free_universal4",)),
         ("disney_robot", "torso", "right_foot", ()),
-        ("kangaroo_like_2legs", "center_hip", "foot_right", ()),
     )
 } | {
-    "wl16_like": Robot(  # nearly singular at home
-        f"{GEPETTO}/wl16_like/robot.urdf",
-        "hip_part",
-        "foot",
-        length_tolerance=1e-5,
-        angle_tolerance=2e-4,
+    "wl16_like": Robot(f"{GEPETTO}/wl16_like/robot.urdf", "hip_part", "foot", spread=0.1),
+    "kangaroo_like_2legs": Robot(  # short strokes
+        f"{GEPETTO}/kangaroo_like_2legs/robot.urdf", "center_hip", "foot_right", spread=0.1
     ),
     "robot_delta": Robot(
         f"{GEPETTO}/robot_delta/robot.urdf", "built", "eff", parallel=("",), length_tolerance=1e-4
@@ -147,6 +148,13 @@ ROBOTS = {
         body="left_pad",
         driven=("left_driver_joint", "left_spring_link_joint"),
     ),
+    "hexapod of raincut": Robot(
+        "stewart_mujoco/stewart.xml", "base", "reflector", body="TOP_1", spread=0.1
+    ),
+    "five-bar of TumAro": Robot("5_bar/five_bar.xml", "world", "reflector", body="E1"),
+    "leg of Charlotte-Nao": Robot(
+        "wheel-leg-mujoco/model/leg.xml", "chassis", "reflector", body="link_BC"
+    ),
 }
 
 
@@ -161,22 +169,23 @@ class Case:
     robot: Robot
 
     @classmethod
-    def make(cls, folder: Path, robot: Robot, seed: int) -> Case:
+    def make(cls, folder: Path, robot: Robot, seed: int, share: float = SHARE) -> Case:
         """Draw a true robot and write it into a copy of the file."""
         with TemporaryDirectory() as copy:
             path = robot.copy(folder / robot.file, Path(copy))
-            return cls.written(path, robot, seed)
+            return cls.written(path, robot, seed, share)
 
     @classmethod
-    def written(cls, path: Path, robot: Robot, seed: int) -> Case:
-        """Draw a true robot and write it into the file."""
+    def written(cls, path: Path, robot: Robot, seed: int, share: float) -> Case:
+        """Draw a true robot, which strays by a share of the tolerances, and write it into the
+        file."""
         nominal = robot.read(path)
         rng = np.random.default_rng([seed, 1])
         step = rng.standard_normal(len(nominal.values)) * ~np.array(nominal.fixed)
         for k, name in enumerate(nominal.table.names):
             if name.endswith((".rx", ".ry")) and name.startswith(tuple(robot.parallel)):
                 step[k] = 0.0
-        true = nominal.with_values(nominal.values + SHARE * nominal.table.tolerance * step)
+        true = nominal.with_values(nominal.values + share * nominal.table.tolerance * step)
         urdf = path.suffix == ".urdf"
         drawn = (Pinocchio if urdf else MuJoCo)(path, nominal, robot)
         drawn.begin(nominal)
@@ -186,8 +195,8 @@ class Case:
         peer.start = drawn.start
         peer.begin(true)
         low, high = np.transpose(nominal.mechanism.joint_limits)
-        shifts = np.random.default_rng([seed, 2]).uniform(-SPREAD, SPREAD, (800, len(low)))
-        readings = np.clip(peer.home + shifts, low, high)
+        shifts = np.random.default_rng([seed, 2]).uniform(-1, 1, (800, len(low)))
+        readings = np.clip(peer.home + robot.spread * unit_sizes(nominal) * shifts, low, high)
         return cls(nominal, true, peer, readings[Kinematics(nominal).direct(readings).ok], robot)
 
     def compared(self) -> tuple[float, float, int]:
@@ -217,72 +226,90 @@ class Case:
     def _visits(self, rng: np.random.Generator, hidden: str) -> Iterator[tuple[Any, ...]]:
         """Yield number, reading, position, rotation, sides of the last motions, payload."""
         done = 0
-        first = np.eye(len(self.nominal.joints))[0]
+        play = BACKLASH * unit_sizes(self.nominal) * np.eye(len(self.nominal.joints))[0]
         loaded, compliance = 0, 0.0
         if hidden == "joint_compliance":
-            loaded, compliance = self.most_loaded(), self.compliance()
+            loaded, compliance = self.compliance()
         for q in self.readings:
+            visits = []
             try:
                 x = self.peer.reach(q)
-            except ValueError:
-                continue
-            for _ in range(2 if done < POSES else 1):
-                side, load, there = rng.choice([-1.0, 1.0], len(q)), 0.0, x
-                if hidden == "backlash":
-                    there = self.peer.close(self.peer.state(x, q - BACKLASH / 2 * side * first))
-                elif hidden:
-                    load = PAYLOAD * rng.random()
-                    angle = q.copy()
-                    for _ in range(3):  # the load depends on the deflection
-                        there = self.peer.close(self.peer.state(there, angle))
-                        torque = self.peer.torque(there, angle, load)[loaded]
+                for _ in range(2 if done < POSES else 1):
+                    side, load, there = rng.choice([-1.0, 1.0], len(q)), 0.0, x
+                    if hidden == "backlash":
+                        there = self.peer.close(self.peer.state(x, q - side * play / 2))
+                    elif hidden:
+                        load = PAYLOAD * rng.random()
                         angle = q.copy()
-                        angle[loaded] += compliance * torque
-                    there = self.peer.close(self.peer.state(there, angle))
-                yield done, q, *self.peer.pose(there), side, load
+                        for _ in range(3):  # the load depends on the deflection
+                            there = self.peer.close(self.peer.state(there, angle))
+                            torque = self.peer.torque(there, angle, load)[loaded]
+                            angle = q.copy()
+                            angle[loaded] += compliance * torque
+                        there = self.peer.close(self.peer.state(there, angle))
+                    visits.append((done, q, *self.peer.pose(there), side, load))
+            except ValueError:  # out of reach, with the effect or without it
+                continue
+            yield from visits
             done += 1
             if done == POSES + UNSEEN:
                 return
         raise ValueError(f"only {done} poses of {POSES + UNSEEN} can be reached")
 
-    def compliance(self) -> float:
-        """Return a compliance that deflects the most loaded motor by the size of the backlash."""
-        torques = [
-            np.abs(self.peer.torque(self.peer.reach(q), q, PAYLOAD)).max()
-            for q in self.readings[:10]
-        ]
-        return BACKLASH / float(np.median(torques))
-
-    def most_loaded(self) -> int:
-        """Return the number of the motor that a payload loads most."""
-        torques = [np.abs(self.peer.torque(self.peer.reach(q), q, 1.0)) for q in self.readings[:10]]
-        return int(np.argmax(np.median(torques, axis=0)))
+    def compliance(self) -> tuple[int, float]:
+        """Return the number of the motor that a payload loads most, and a compliance that deflects
+        it by the size of the backlash."""
+        sizes = unit_sizes(self.nominal)
+        loads = list[Array]()
+        for q in self.readings:
+            with suppress(ValueError):  # out of reach
+                loads.append(self.peer.torque(self.peer.reach(q), q, PAYLOAD))
+            if len(loads) == 10:
+                break
+        usual = np.median(np.abs(loads), axis=0)  # Nm; N of a slide
+        most = int(np.argmax(usual * sizes))
+        return most, float(BACKLASH * sizes[most] / usual[most])
 
     def _dataset(
         self, visits: list[tuple[Any, ...]], rng: np.random.Generator, share: float, hidden: str
     ) -> Dataset:
         number, q, r, R, side, load = (np.array(part) for part in zip(*visits, strict=True))
+        sigma = READING * unit_sizes(self.nominal)
         conditions = {"payload": load} if hidden == "joint_compliance" else {}
         if hidden == "backlash":
             sides = zip(self.nominal.joints, side.T, strict=True)
             conditions |= {f"direction.{joint}": each for joint, each in sides}
         return Dataset.from_arrays(
             self.nominal.joints,
-            q + share * READING * rng.standard_normal(q.shape),
+            q + share * sigma * rng.standard_normal(q.shape),
             r + share * POSITION * rng.standard_normal(r.shape),
             R,
             measured=[True] * 3 + [False] * 3,
             pose_cov=np.diag([POSITION**2] * 3 + [1.0] * 3),  # orientations are not measured
-            joint_sigma=READING,
+            joint_sigma=sigma,
             pose_id=number,
             frame="base",
             conditions=conditions,
         )
 
 
+def unit_sizes(model: Model) -> Array:
+    """Return 1 rad for each turning joint and the length of the model for each slide."""
+    m = model.mechanism
+    return np.where(np.array(m.joint_units) == "m", m.length, 1.0)
+
+
 def error(model: Model, data: Dataset) -> float:
     """Return the rms error of position of a model, um."""
     return 1e6 * float(np.sqrt(np.nanmean(compare(model, data).errors.norms("position") ** 2)))
+
+
+def compare_drawn(name: str, folder: Path) -> None:
+    """Print how far the model of a file and the file itself are apart."""
+    case = Case.make(folder, ROBOTS[name], 0, share=0.0)
+    apart, turned, n = case.compared()
+    passive = len(case.nominal.mechanism.passive)
+    print(f"{name}: {passive} passive coordinates, differs {apart:.0e} m {turned:.0e} at {n}")
 
 
 def study(name: str, folder: Path, seed: int, hidden: bool) -> None:
@@ -317,6 +344,7 @@ def main(
     folder: Annotated[Path | None, typer.Argument(help="with the repositories of others")] = None,
     names: Annotated[list[str] | None, typer.Argument(help="robots; default: all")] = None,
     hidden: bool = False,
+    drawn: bool = False,
     seeds: int = 1,
 ) -> None:
     """Compare and calibrate the robots of others."""
@@ -326,7 +354,10 @@ def main(
     for name in names or ROBOTS:
         for seed in range(seeds):
             try:
-                study(name, folder, seed, hidden)
+                if drawn:
+                    compare_drawn(name, folder)
+                else:
+                    study(name, folder, seed, hidden)
             except (ParallelCalError, ValueError) as problem:
                 print(f"{name} seed {seed}: {type(problem).__name__}: {problem}", flush=True)
 

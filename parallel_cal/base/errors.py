@@ -38,10 +38,11 @@ class ModelError(ParallelCalError):
 
 
 class OpenLoopsError(ModelError):
-    """The loops of a chain do not close with its driven joints at home.
+    """The loops of a chain do not close with its driven joints at home, or it is singular there.
 
-    `home` has a value for each coordinate of the joints where they do close, and is empty if they
-    close nowhere; `position` and `quaternion` are the pose of the platform there.
+    `home` has a value for each coordinate of the joints where they do close and the chain is
+    regular, and is empty if they close nowhere; `position` and `quaternion` are the pose of the
+    platform there. `singular` is true if the loops close at the stated home.
     """
 
     def __init__(
@@ -50,9 +51,10 @@ class OpenLoopsError(ModelError):
         home: Mapping[str, float] | None = None,
         position: Sequence[float] = (),
         quaternion: Sequence[float] = (),
+        singular: bool = False,
     ):
         super().__init__(message)
-        self.home = home or {}
+        self.home, self.singular = home or {}, singular
         self.position, self.quaternion = position, quaternion
 
 

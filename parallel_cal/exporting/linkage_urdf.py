@@ -53,8 +53,11 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
             raise ModelError(f"{path}: '{link}' is the end of two loops, which have moved apart")
     end = found.linkage.frames[model.frames["platform"]].body
     target = np.eye(4) if found.target is None else found.target
-    if end in frames and np.abs(frames[end] - target).max() > ROUNDING_TOLERANCE:
-        apart = 1e3 * np.linalg.norm((frames[end] - target)[:3, 3])
+    loops = [loop for loop in found.linkage.loops if loop.name not in elements]
+    is_end = any(end in (loop.a.body, loop.b.body) for loop in loops)
+    at_end = frames.get(end, np.eye(4) if is_end else target)
+    if np.abs(at_end - target).max() > ROUNDING_TOLERANCE:
+        apart = 1e3 * np.linalg.norm((at_end - target)[:3, 3])
         raise ModelError(
             f"{path}: '{end}' is the platform and the end of a loop, which are {apart:.3g} mm "
             "apart now: give the platform a link of its own with a fixed joint"

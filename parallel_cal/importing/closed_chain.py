@@ -51,6 +51,10 @@ READERS: Mapping[str, Callable[[Path], Linkage]] = {
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2, in the frame of the file's world
 ROUNDING_ERROR = 1e-15
 MAX_DRAWN_OPEN = 1e-3  # rad or m: files state angles with few digits
+OTHER_ASSEMBLY = (
+    "If the robot is assembled otherwise, state values near its own as home of these joints in the "
+    "model file"
+)
 
 
 def describes_linkage(path: Path) -> bool:
@@ -133,7 +137,8 @@ def make_mechanism(
     driven: Sequence[str],
     options: Mapping[str, Any],
 ) -> tuple[Mechanism, list[str]]:
-    """Return the mechanism, and a remark if its loops do not close with driven joints at zero."""
+    """Return the mechanism, and a remark if its loops do not close with driven joints at zero, or
+    if it is singular there."""
     described, remarks = describe(linkage, base, place, driven) | {**options}, list[str]()
     try:
         try:
@@ -141,9 +146,15 @@ def make_mechanism(
         except ModelError as error:
             if not (isinstance(error.__cause__, OpenLoopsError) and error.__cause__.home):
                 raise
-            described, words = with_home(described, error.__cause__)
+            closed = error.__cause__
+            described, words = with_home(described, closed)
             mechanism = load_mechanism("chain", **described)
-            remarks = [f"home is where the loops close next to the file's zero: {words}"]
+            reason = (
+                "home is beside the file's zero, where the chain is singular"
+                if closed.singular
+                else "home is where the loops close next to the file's zero"
+            )
+            remarks = [f"{reason}: {words}. {OTHER_ASSEMBLY}"]
     except ModelError as error:
         message = f"{linkage.path}: {error}{_hint(linkage)}"
         closes_nowhere = isinstance(error.__cause__, OpenLoopsError)
@@ -182,8 +193,7 @@ def describe_closing(mechanism: Any) -> list[str]:
     ]
     return moved and [
         f"the loops are open as the file draws them; at home they close with {', '.join(moved)}. "
-        "If the robot is assembled otherwise, state values near its own as home of these joints in "
-        "the model file"
+        f"{OTHER_ASSEMBLY}"
     ]
 
 
@@ -195,7 +205,8 @@ def _hint(linkage: Linkage) -> str:
 
 
 def with_home(described: Mapping[str, Any], closed: OpenLoopsError) -> tuple[dict[str, Any], str]:
-    """Return options of `chain` with a home at which its loops close, and the readings in words."""
+    """Return options of `chain` with a home at which its loops close, and in words the readings
+    there and the passive joints that are not as the file draws them."""
     found, said = {**described}, list[str]()
     for key in ("joints", "loops"):
         parts = []
@@ -203,10 +214,14 @@ def with_home(described: Mapping[str, Any], closed: OpenLoopsError) -> tuple[dic
             name, count = one["name"], COORDINATES.get(one["type"], 1)
             names = [name] if count == 1 else [f"{name}.{i + 1}" for i in range(count)]
             values = [float(closed.home[each]) for each in names if each in closed.home]
+            drawn = np.broadcast_to(one.get("home", 0.0), len(values))
             parts.append(one | ({"home": values[0] if count == 1 else values} if values else {}))
-            if values and one.get("driven"):
-                unit = "rad" if one["type"] == "revolute" else "m"
-                said.append(f"{name} {values[0]:.6g} {unit}")
+            unit = "m" if one["type"] in ("prismatic", "distance") else "rad"
+            said += [
+                f"{each} {value:.6g} {unit}"
+                for each, value, before in zip(names, values, drawn, strict=False)
+                if one.get("driven") or abs(value - before) > MAX_DRAWN_OPEN
+            ]
         if parts:
             found[key] = parts
     if "home" in described:

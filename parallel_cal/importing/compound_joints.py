@@ -7,7 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from parallel_cal.importing.linkage import Linkage, LinkageJoint, LinkageLoop, Place, Rod
+from parallel_cal.importing.linkage import (
+    Linkage,
+    LinkageJoint,
+    LinkageLoop,
+    Place,
+    Rod,
+    add_mass,
+)
 
 TURNING = {"revolute": 1, "universal": 2, "spherical": 3}
 MAX_DISTANCE_M = 1e-9  # of axes that meet in a point; files have their numbers to 1e-12 m or better
@@ -34,9 +41,15 @@ def simplify(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -
     joints = [
         part
         for joint in merged.joints
-        for part in (joint.parts if joint.kind == "universal" and joint.parts else (joint,))
+        for part in (joint.parts if _is_two_hinges(joint) else (joint,))
     ]
     return replace(merged, joints=tuple(joints))
+
+
+def _is_two_hinges(joint: LinkageJoint) -> bool:
+    """Whether a joint is universal by its hinges: a ball without spin has one more."""
+    turns = sum(TURNING[part.kind] for part in joint.parts)
+    return joint.kind == "universal" and turns == TURNING["universal"]
 
 
 def _merge(
@@ -163,7 +176,7 @@ def without_spin(ball: LinkageJoint, slide: LinkageJoint) -> LinkageJoint:
         along = ball.origin[:3, :3].T @ along
     first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     first = first / np.linalg.norm(first)
-    return replace(ball, kind="universal", axes=(first, np.cross(along, first)), parts=())
+    return replace(ball, kind="universal", axes=(first, np.cross(along, first)))
 
 
 def _bodies_of(one: LinkageJoint | LinkageLoop) -> tuple[str, str]:
@@ -183,8 +196,10 @@ def _half(one: LinkageJoint | LinkageLoop, body: str) -> tuple[Place, Place]:
 
 
 def with_rods(linkage: Linkage, ends: Collection[str]) -> Linkage:
-    """Replace every body that hangs on two balls alone by a rod of fixed length between them."""
-    joints, loops = [*linkage.joints], [*linkage.loops]
+    """Replace every body that hangs on two balls alone by a rod of fixed length between them. Its
+    mass is shared by the bodies at its ends, so that it has the same weight and the same centre on
+    the line between both balls."""
+    joints, loops, masses = [*linkage.joints], [*linkage.loops], {**linkage.masses}
     bodies = [body for one in linkage.parts for body in _bodies_of(one)]
     for body in dict.fromkeys(bodies):
         parts: list[LinkageJoint | LinkageLoop] = [*joints, *loops]
@@ -195,6 +210,11 @@ def with_rods(linkage: Linkage, ends: Collection[str]) -> Linkage:
         if far.body == far2.body:
             continue
         points = p.frame[:3, 3], r.frame[:3, 3]
+        mass, centre = masses.pop(body, (0.0, np.zeros(3)))
+        span = points[1] - points[0]
+        share = float((centre - points[0]) @ span / max(span @ span, 1e-300))
+        for end, part in ((far, 1 - share), (far2, share)):
+            add_mass(masses, end.body, part * mass, end.frame[:3, 3])
         joints = [joint for joint in joints if joint not in balls]
         rod = LinkageLoop(
             f"{body}_rod" if body in [joint.name for joint in joints] else body,
@@ -206,4 +226,4 @@ def with_rods(linkage: Linkage, ends: Collection[str]) -> Linkage:
             rod=Rod(body, points, (balls[0], balls[1])),
         )
         loops = [loop for loop in loops if loop not in balls] + [rod]
-    return replace(linkage, joints=tuple(joints), loops=tuple(loops))
+    return replace(linkage, joints=tuple(joints), loops=tuple(loops), masses=masses)

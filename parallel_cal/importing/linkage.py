@@ -149,10 +149,7 @@ def fuse(linkage: Linkage, base: str) -> Linkage:
     )
     masses: dict[str, tuple[float, Array]] = {}
     for name, (mass, centre) in linkage.masses.items():
-        point = (at[name].frame @ [*centre, 1.0])[:3]
-        before, old = masses.get(at[name].body, (0.0, np.zeros(3)))
-        whole = before + mass
-        masses[at[name].body] = whole, (before * old + mass * point) / (whole or 1.0)
+        add_mass(masses, at[name].body, mass, (at[name].frame @ [*centre, 1.0])[:3])
     frames = {name: move(place) for name, place in linkage.frames.items()}
     poses = {
         place.body: linkage.poses[name] @ np.linalg.inv(place.frame)
@@ -197,6 +194,13 @@ def locked(joint: LinkageJoint) -> LinkageJoint:
     return replace(
         joint, kind=FIXED, origin=joint.origin @ shift @ moved @ np.linalg.inv(shift), refusal=""
     )
+
+
+def add_mass(masses: dict[str, tuple[float, Array]], body: str, mass: float, point: Array) -> None:
+    """Add a mass (kg) at a point (3,) m of a body to the mass and the centre of the body."""
+    before, centre = masses.get(body, (0.0, np.zeros(3)))
+    whole = before + mass
+    masses[body] = whole, (before * centre + mass * point) / (whole or 1.0)
 
 
 def joined_bodies(linkage: Linkage, base: str) -> dict[str, Place]:

@@ -18,6 +18,8 @@ MIN_INDEPENDENT_PART = 1e-5  # of the motion by a parameter, after what others e
 STEPS = 60  # of Newton's method, damped
 LARGEST_STEP = 0.4  # lengths or rad: of one step
 AMPLITUDES = (0.05, 0.3, 0.8)  # rad, or shares of the length, by which the joints are moved
+TRIES = 30  # random starts from which the loops are closed
+CLEARLY_BETTER = 1.2  # times the regularity: of less, no further step is made
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,52 @@ class Survey:
             x, (phi, J, _) = there, found
         return x, phi
 
+    def close_near(
+        self, guess: np.ndarray, columns: Sequence[int], limits: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Change some coordinates so that the loops close, from starts farther and farther from a
+        guess; return the configuration with the least rest, and this rest.
+
+        A configuration beyond the limits of the joints (nq, 2) counts only if there is no other.
+        """
+        rng = np.random.default_rng(0)
+        start, beyond, open_ones = guess, None, list[tuple[float, np.ndarray, np.ndarray]]()
+        for k in range(TRIES):
+            x, left = self.close(start, columns)
+            size = float(np.linalg.norm(left))
+            if size < CLOSED * self.length:
+                if self._is_within(limits, x):
+                    return x, left
+                beyond = beyond or (x, left)
+            open_ones.append((size, x, left))
+            change = np.zeros(len(self.scale))
+            change[columns] = rng.uniform(-1, 1, len(columns)) * self.length * (k + 1) / TRIES
+            at = Configuration.from_rows(guess, self.n_passive)
+            start = at.apply_change(2 * change / self.scale).rows
+        return beyond or min(open_ones, key=lambda one: one[0])[1:]
+
+    def _is_within(self, limits: np.ndarray, x: np.ndarray) -> bool:
+        q = x[: self.n_joints]
+        return bool(np.all((limits[:, 0] <= q) & (q <= limits[:, 1])))
+
+    def climb(
+        self, x: np.ndarray, moves: Sequence[int], limits: np.ndarray, spread: np.ndarray
+    ) -> np.ndarray:
+        """Return the most regular configuration that small motions of all joints reach from a
+        closed one.
+
+        The nearest readings at which loops close are at the edge of all possible readings, where
+        rods are in line: two assembly modes meet there, and no solver can tell them apart.
+        """
+        while True:
+            near = self.around(x, 12, spread)
+            near = np.array([x, *(each for each in near[1:] if self._is_within(limits, each))])
+            regular = Motion.of(self, near, moves).regularity
+            best = int(np.argmax(regular))
+            if regular[best] <= CLEARLY_BETTER * regular[0]:
+                return x
+            x = near[best]
+
     def around(self, home: np.ndarray, count: int, spread: np.ndarray) -> np.ndarray:
         """Return closed configurations (at most `count`) near home, the same in each call;
         `spread` (nq,) limits how far each joint is moved, in its unit."""
@@ -104,6 +152,17 @@ class Motion:
         by, n = np.array(found), survey.n_joints
         by[:, :, [n + i for i in range(6) if i not in moves]] = 0.0
         return cls(by, np.array(by_parameters), n, moves)
+
+    @property
+    def regularity(self) -> np.ndarray:
+        """How far each configuration is from a singular one (K,), from 0 to 1: the smallest
+        singular value of the derivatives by platform and passive coordinates as a share of the
+        largest. Motions that are free at all configurations do not count."""
+        n, size = self.n_joints, self.by.shape[2]
+        unknown = [*(n + i for i in self.moves), *range(n + 6, size)]
+        sizes = np.linalg.svd(self.by[:, :, unknown], compute_uv=False)
+        rank = int(np.max(np.sum(sizes > RELATIVE_RANK * sizes[:, :1], axis=1), initial=0))
+        return sizes[:, rank - 1] / sizes[:, 0] if rank else np.ones(len(sizes))
 
     def find_idle(self) -> list[int]:
         """Return passive coordinates that can move while joints and platform rest, such as the turn

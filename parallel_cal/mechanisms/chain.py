@@ -24,7 +24,7 @@ from parallel_cal.mechanisms._chain_bodies import (
     with_lengths,
 )
 from parallel_cal.mechanisms._chain_drawing import draw
-from parallel_cal.mechanisms._chain_rank import CLOSED, Motion, Survey
+from parallel_cal.mechanisms._chain_rank import CLOSED, TRIES, Motion, Survey
 from parallel_cal.mechanisms._chain_reading import (
     Entry,
     Frame,
@@ -50,7 +50,7 @@ ROUNDED = (
     "; so little stays open if the geometry is stated with few digits and its loops are redundant: "
     "state more digits"
 )
-TRIES = 30  # random starts from which the loops are closed at home
+MIN_REGULARITY = 0.05  # of that around home: of less, home is singular
 
 
 class Chain(Mechanism):
@@ -301,6 +301,13 @@ class Chain(Mechanism):
                 f"move in {loose.shape[1]} of its {motion.freedoms} freedoms; drive more joints, "
                 f"or join more bodies{locked}"
             )
+        regular = motion.regularity
+        if regular[0] < MIN_REGULARITY * regular.max():
+            raise self._other_home(
+                survey.climb(home, self.moved, np.array(self.joint_limits), self._spread()),
+                "the chain is singular at home: two assembly modes meet there. It is regular at",
+                singular=True,
+            )
         self._set_home(x, stated is not None)
         self._set_workspace(x, workspace)
         self._choose_rows_and_parameters(home)
@@ -309,23 +316,18 @@ class Chain(Mechanism):
         """Close the loops with the driven joints at home. Where they cannot, OpenLoopsError states
         a home next to it at which they do."""
         n, every = len(self.joints), list(range(len(survey.scale)))
-        x, left = self._close_near(survey, guess, every[n:])
+        limits = np.array(self.joint_limits)
+        x, left = survey.close_near(guess, every[n:], limits)
         if np.linalg.norm(left) < CLOSED * self.length:
             return x
         open_at_home = self._describe_open(left)
-        x, left = self._close_near(survey, guess, every)
+        x, left = survey.close_near(guess, every, limits)
         if np.linalg.norm(left) < CLOSED * self.length:
-            at = Configuration.from_rows(x, len(self.passive))
-            words = ", ".join(
-                f"{name} {value:.6g} {unit}"
-                for name, value, unit in zip(self.joints, at.q, self.joint_units, strict=True)
-            )
-            raise OpenLoopsError(
+            x = survey.climb(x, self.moved, limits, self._spread())
+            raise self._other_home(
+                x,
                 f"the loops do not close at home: {open_at_home} with the driven joints at their "
-                f"home. They close at {words}: state these as the home of the driven joints",
-                dict(zip([*self.joints, *self.passive], [*at.q, *at.u], strict=True)),
-                at.r.tolist(),
-                matrix_to_quaternion(at.R).tolist(),
+                "home. They close at",
             )
         raise OpenLoopsError(
             f"the loops do not close at home: {open_at_home} with the driven joints at their home, "
@@ -334,29 +336,22 @@ class Chain(Mechanism):
             f"is too stiff{ROUNDED if np.abs(left).max() < MAX_ROUNDED_M else ''}"
         )
 
-    def _close_near(
-        self, survey: Survey, guess: np.ndarray, columns: Sequence[int]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Change some coordinates so that the loops close, from starts farther and farther from a
-        guess; return the configuration with the least rest, and this rest.
-
-        A configuration beyond the limits of the joints counts only if there is no other one.
-        """
-        rng, (low, high) = np.random.default_rng(0), np.array(self.joint_limits).T
-        start, beyond, open_ones = guess, None, list[tuple[float, np.ndarray, np.ndarray]]()
-        for k in range(TRIES):
-            x, left = survey.close(start, columns)
-            size, q = float(np.linalg.norm(left)), x[: len(self.joints)]
-            if size < CLOSED * self.length:
-                if np.all((low <= q) & (q <= high)):
-                    return x, left
-                beyond = beyond or (x, left)
-            open_ones.append((size, x, left))
-            change = np.zeros(len(survey.scale))
-            change[columns] = rng.uniform(-1, 1, len(columns)) * self.length * (k + 1) / TRIES
-            at = Configuration.from_rows(guess, len(self.passive))
-            start = at.apply_change(2 * change / survey.scale).rows
-        return beyond or min(open_ones, key=lambda one: one[0])[1:]
+    def _other_home(self, x: np.ndarray, problem: str, singular: bool = False) -> OpenLoopsError:
+        """Make the error that states another home, after a problem with the stated one."""
+        at = Configuration.from_rows(x, len(self.passive))
+        values = dict(zip([*self.joints, *self.passive], [*at.q, *at.u], strict=True))
+        units = [*self.joint_units, *self.passive_units]
+        words = ", ".join(
+            f"{name} {value:.6g} {unit}"
+            for (name, value), unit in zip(values.items(), units, strict=True)
+        )
+        return OpenLoopsError(
+            f"{problem} {words}: state these as the home of the joints",
+            values,
+            at.r.tolist(),
+            matrix_to_quaternion(at.R).tolist(),
+            singular,
+        )
 
     def _describe_open(self, left: np.ndarray) -> str:
         """Say which loop is widest open, from the rows in metres."""
@@ -369,14 +364,26 @@ class Chain(Mechanism):
         return [row.owner for row in self._rows(q, u, ca.DM.zeros(3), ca.DM.eye(3), p)]
 
     def _hold_idle(self, home: np.ndarray) -> np.ndarray:
-        """Hold passive coordinates that nothing determines, and return home without them."""
+        """Hold passive coordinates that nothing determines, and return home without them.
+
+        They rest where the description draws them, not where a search for closed loops left them:
+        a guide that does not spin is written into a file as it was read.
+        """
         survey = self._survey()
         x = survey.around(home, 3, self._spread())
         first, n = len(self.joints) + 6, len(self.joints) + 12
         idle = [c - first for c in Motion.of(survey, x, self.moved).find_idle()]
-        self.held = {self.passive[k]: float(home[n + k]) for k in idle}
+        drawn = {name: value for name, _, value in self.skeleton.passive}
+        rest = np.delete(home, [n + k for k in idle])
+        found = {self.passive[k]: float(home[n + k]) for k in idle}
+        self.held = {name: drawn[name] for name in found}
         self._set_joints()
-        return np.delete(home, [n + k for k in idle])
+        moved = self._survey()
+        x, left = moved.close(rest, range(len(self.joints), len(moved.scale)))
+        if np.linalg.norm(left) < CLOSED * self.length:
+            return x
+        self.held = found
+        return rest
 
     def _spread(self) -> np.ndarray:
         """How far the joints are moved around home (nq,), rad or m."""

@@ -231,3 +231,33 @@ ANKLE_MJCF = """<mujoco>
   </actuator>
 </mujoco>
 """
+
+STRUT_URDF = f"""<robot name="lever">
+  <link name="base"/><link name="lever"/><link name="tip"/><link name="eye"/>
+  <link name="holder"/><link name="barrel"/><link name="piston"/><link name="pin"/>
+  <joint name="hinge" type="revolute"><origin xyz="0 0 0"/>
+    <parent link="base"/><child link="lever"/><axis xyz="0 0 1"/></joint>
+  <joint name="tip_fixed" type="fixed"><origin xyz="0.05 0.25 0.01"/>
+    <parent link="lever"/><child link="tip"/></joint>
+  <joint name="eye_fixed" type="fixed"><origin xyz="0 0.2 0"/>
+    <parent link="lever"/><child link="eye"/></joint>
+  <joint name="holder_hinge" type="revolute"><origin xyz="0.1 0 0" rpy="0.4 0 0"/>
+    <parent link="base"/><child link="holder"/><axis xyz="1 0 0"/></joint>
+  <joint name="spherical_foot" type="revolute">
+    <origin xyz="0.05 0 0" rpy="-0.4 0 {float(np.arctan2(0.2, -0.15))!r}"/>
+    <parent link="holder"/><child link="barrel"/><axis xyz="0 0 1"/></joint>
+  <joint name="motor" type="prismatic"><origin xyz="0.1 0 0"/>
+    <parent link="barrel"/><child link="piston"/><axis xyz="-1 0 0"/></joint>
+  <joint name="pin_fixed" type="fixed"><origin xyz="0.15 0 0"/>
+    <parent link="piston"/><child link="pin"/></joint>
+</robot>
+"""
+STRUT_LOOP = "closed_loop: [[pin, eye]]\ntype: [3d]\nname_mot: [motor]\n"
+
+
+def lever_tip(reading):
+    """Return the tip of the lever (x, y): its angle follows by the law of cosines from the strut of
+    0.25 m - reading, from (0.15, 0) to the eye at 0.2 m."""
+    at_hinge = np.arccos((0.2**2 + 0.15**2 - (0.25 - reading) ** 2) / (2 * 0.2 * 0.15))
+    c, s = np.cos(at_hinge - np.pi / 2), np.sin(at_hinge - np.pi / 2)
+    return np.array([c * 0.05 - s * 0.25, s * 0.05 + c * 0.25])

@@ -115,6 +115,26 @@ def test_a_ball_that_closes_a_loop_of_a_urdf_is_written_into_both_of_its_links(t
     assert np.abs(one.position - before.position).max() > 1e-3
 
 
+def test_a_strut_whose_reading_falls_as_it_grows_is_written_where_it_hangs(tmp_path):
+    """Its slide hangs on a ball that the file has as a hinge and a ball 0.05 m along its axis."""
+    path = written(tmp_path, "robot.urdf", own.STRUT_URDF, own.STRUT_LOOP)
+    model = chain([path], "base", "tip").model
+    assert model.mechanism.skeleton.joints[1].type == "universal"
+    q = np.linspace(-0.02, 0.03, 6)[:, None]
+    found = Kinematics(model).direct(q)
+    expected = [own.lever_tip(*reading) for reading in q]
+    assert np.abs(found.position[:, :2] - expected).max() < 1e-12
+    step = {"holder_hinge.x": 1e-3, "holder_hinge.y": -2e-3, "motor.zero": 5e-4}
+    better = model.with_values(
+        model.table.vector({name: model.value(name) + change for name, change in step.items()})
+    )
+    export_into(better, "urdf", [path])
+    again = chain([path], "base", "tip").model
+    one, other = (Kinematics(each).direct(q) for each in (better, again))
+    assert np.abs(one.position - found.position).max() > 1e-3
+    assert np.abs(one.position - other.position).max() < 1e-11
+
+
 def foot_by_hand(left, right):
     """Solve both rod lengths of the ankle for pitch and roll; return the toe in the shank."""
 
@@ -145,6 +165,18 @@ def test_an_ankle_with_rods_of_an_mjcf_moves_as_its_rod_lengths_demand(tmp_path)
     assert np.abs(Kinematics(model).direct(ANGLES).position - expected).max() < 1e-9
 
 
+def test_the_mass_of_a_rod_is_shared_by_the_bodies_at_its_ends(tmp_path):
+    """Its centre is 0.1 m from the crank's ball, of 0.25 m to the heel's."""
+    ball = '<joint name="left_ball" type="ball"/>'
+    inertial = '<inertial mass="0.5" pos="0.01 0 -0.1" diaginertia="1 1 1"/>'
+    text = own.ANKLE_MJCF.replace(ball, ball + inertial)
+    mechanism = chain([written(tmp_path, "ankle.xml", text)], platform="toe").model.mechanism
+    assert mechanism.masses == pytest.approx({"left_crank": 0.3, "foot": 0.2})
+    given = mechanism.options["masses"]
+    assert given["left_crank"]["centre"] == pytest.approx([-0.05, 0, 0])
+    assert given["foot"]["centre"] == pytest.approx([-0.05, 0.035, 0])
+
+
 def test_rod_lengths_balls_and_the_target_of_an_ankle_go_into_its_mjcf(tmp_path):
     path = written(tmp_path, "ankle.xml", own.ANKLE_MJCF)
     model = chain([path], platform="toe").model
@@ -166,6 +198,22 @@ def test_rod_lengths_balls_and_the_target_of_an_ankle_go_into_its_mjcf(tmp_path)
     assert np.abs(one - other).max() < 1e-11
     assert again.value("left_bar.length") == pytest.approx(0.251, abs=1e-12)
     assert again.value("right_bar.length") == pytest.approx(0.198, abs=1e-12)
+
+
+def test_a_site_that_is_the_platform_and_the_end_of_a_loop_is_at_one_place(tmp_path):
+    path = written(tmp_path, "ankle.xml", own.ANKLE_MJCF)
+    model = chain([path], platform="left_heel").model
+    shift = {"target.x": model.value("target.x") + 1e-3}
+    apart = model.with_values(model.table.vector(shift))
+    words = "'left_heel' is the platform and the end of a loop, which are 1 mm apart now"
+    with pytest.raises(ModelError, match=words):
+        export_into(apart, "mjcf", [path])
+    end = {"left_bar.b_x": model.value("left_bar.b_x") + 1e-3}
+    together = model.with_values(model.table.vector(shift | end))
+    export_into(together, "mjcf", [path])
+    again = chain([path], platform="left_heel").model
+    one, other = (Kinematics(each).direct(ANGLES).position for each in (together, again))
+    assert np.abs(one - other).max() < 1e-11
 
 
 def test_the_joints_of_an_arm_without_loops_can_be_a_chain(tmp_path):
@@ -316,19 +364,44 @@ def listed_urdf(tmp_path, loops, urdf):
 
 
 def test_a_chain_that_closes_with_other_readings_has_its_home_there(tmp_path):
-    """At zero of both cranks the rods do not meet: each crank points away from the other one."""
+    """At zero of both cranks the rods do not meet: each crank points away from the other one, and
+    the rods nearly to one another."""
     text = own.five_bar_urdf("")
-    for angle, drawn in ((own.LEFT, np.pi), (own.RIGHT, 0.0)):
+    turns = (own.LEFT, np.pi), (own.RIGHT, 0.0)
+    bends = (own.BENDS[0], np.pi + 0.1), (own.BENDS[1], np.pi - 0.1)
+    for angle, drawn in (*turns, *bends):
         text = text.replace(f"0 0 {angle!r}", f"0 0 {drawn!r}")
     text = text.replace(f'xyz="{own.ROD} 0 0"', 'xyz="0.14 0 0"')
     found = chain([listed_urdf(tmp_path, own.LOOP_FILE, text)], "frame", "tip")
     left, right = found.model.mechanism.home.joints
     one = np.array([-own.HALF, 0]) + own.CRANK * np.array([-np.cos(left), -np.sin(left)])
     other = np.array([own.HALF, 0]) + own.CRANK * np.array([np.cos(right), np.sin(right)])
-    assert np.linalg.norm(one - other) <= 0.28
+    # At the nearest readings, the rods are in line: 0.28 m. Home is where they are not.
+    assert np.linalg.norm(one - other) < 0.9 * 0.28
+    assert Kinematics(found.model).direct([left, right] + 0.5 * ANGLES).ok.all()
     assert f"home is where the loops close next to the file's zero: left {left:.6g} rad" in (
         " ".join(found.remarks)
     )
+
+
+def test_a_chain_that_is_drawn_where_it_is_singular_has_a_regular_home_beside_it(tmp_path):
+    """Both cranks are upright, 0.1 m apart, and both rods of 0.05 m lie on the line between."""
+    text = own.five_bar_urdf("")
+    turns = (own.LEFT, np.pi / 2), (own.RIGHT, np.pi / 2)
+    bends = (own.BENDS[0], -np.pi / 2), (own.BENDS[1], np.pi / 2)
+    for angle, drawn in (*turns, *bends):
+        text = text.replace(f"0 0 {angle!r}", f"0 0 {drawn!r}")
+    text = text.replace(f'xyz="{own.ROD} 0 0"', 'xyz="0.05 0 0"')
+    found = chain([listed_urdf(tmp_path, own.LOOP_FILE, text)], "frame", "tip")
+    left, right = found.model.mechanism.home.joints
+    apart = np.array([2 * own.HALF, 0]) + own.CRANK * (
+        np.array([-np.sin(right), np.cos(right)]) - np.array([-np.sin(left), np.cos(left)])
+    )
+    assert np.linalg.norm(apart) < 0.095
+    assert Kinematics(found.model).direct([left, right] + 0.1 * ANGLES).ok.all()
+    said = " ".join(found.remarks)
+    assert "where the chain is singular: left" in said
+    assert "left_elbow" in said
 
 
 def test_loops_that_close_nowhere_are_named_with_what_may_be_wrong(tmp_path):

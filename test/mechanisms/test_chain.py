@@ -151,7 +151,8 @@ def test_an_idle_turn_is_held_and_named():
     up = (np.array([0, 0, 0.3]) + top - foot) / np.linalg.norm(np.array([0, 0, 0.3]) + top - foot)
     length, limits = leg["length"], leg["limits"]
     joints = [
-        {"name": "foot", "type": "spherical", "parent": "base", "child": "barrel", "origin": foot},
+        {"name": "foot", "type": "spherical", "parent": "base", "child": "barrel", "origin": foot,
+         "home": [0.2, 0.1, 0.3]},
         {"name": "leg1", "type": "prismatic", "parent": "barrel", "child": "piston",
          "axis": up.tolist(), "origin": (length * up).tolist(), "driven": True,
          "home": leg["home"], "limits": limits},
@@ -160,7 +161,7 @@ def test_an_idle_turn_is_held_and_named():
                 "b": {"body": "plate", "point": top}}  # fmt: skip
     other = given | {"joints": joints, "loops": [*given["loops"][1:], top_ball]}
     model = make_chain(other)
-    assert len(model.mechanism.held) == 1
+    assert model.mechanism.held == {"foot.3": 0.3}  # it rests where it is drawn
     assert "turn idly" in " ".join(model.mechanism.remarks)
     order = [model.joints.index(name) for name in pc.new_model("stewart42").joints]
     q = np.array(pc.new_model("stewart42").mechanism.home.joints) + 0.01 * np.arange(6)
@@ -222,6 +223,24 @@ def test_a_chain_that_moves_with_locked_motors_is_refused_and_a_joint_that_moves
     expected = "move in 1 of its 2 freedoms.*if right(_elbow)?, which moves most, rests"
     with pytest.raises(ModelError, match=expected):
         make_chain(with_driven(("left",)))
+
+
+def test_a_home_with_both_rods_in_line_is_refused_with_a_regular_one():
+    """Both cranks upright: 0.1 m between the elbows, and two rods of 0.05 m."""
+    given = chains.five_bar(base=0.1, crank=0.1, bar=0.05)
+    for joint, home in zip(given["joints"], deg(90, -90, 90, 90), strict=True):
+        joint["home"] = home
+    with pytest.raises(
+        ModelError, match="singular at home: two assembly modes meet there"
+    ) as error:
+        make_chain(given)
+    stated = str(error.value).partition("regular at ")[2].partition(": state these")[0]
+    values = {part.split()[0]: float(part.split()[1]) for part in stated.split(", ")}
+    for joint in given["joints"]:
+        joint["home"] = values[joint["name"]]
+    at_home = make_chain(given).mechanism.home
+    elbows = [values[f"{side}_elbow"] for side in ("left", "right")]
+    assert at_home.passive == pytest.approx(elbows, abs=1e-5)
 
 
 def test_a_tilted_axis_of_a_plane_robot_still_closes():
@@ -303,6 +322,7 @@ def test_iterations_from_home_begin_at_its_expansion_of_second_order(name, probl
 KNOWN = {
     "five_bar": ("target.*", "tip.a_?"),
     "stewart42": (),
+    "delta54": ("joint?.zero", "joint?.rx", "rod*.b_?"),
     "delta51": ("joint?.[xyz]", "joint?.rx", "rod*.a_x"),
     "planar_stewart": (),
     "rssr": ("output.*", "input.[yz]", "input.r[yz]", "bar.a_[xy]", "bar.length"),
@@ -320,7 +340,11 @@ def pair(name):
         chain = make_chain(SHELF[source](SHELF_MODELS[source]()))
     shelf = pc.new_model("delta51") if name == "delta51" else SHELF_MODELS[name]()
     fixed = chain.fixed
-    if name in ("delta51", "rssr"):
+    if name == "delta54":
+        # Its angles also turn the platform's balls, whose places in a chain it holds: a tie that no
+        # choice of fixed coordinates of these balls states.
+        shelf = replace(shelf, fixed=shelf.fixed | shelf.table.matching(["*.theta", "*.alpha"]))
+    if name in ("delta51", "delta54", "rssr"):
         fixed = chain.table.matching(["target.*", *KNOWN[name]])
     elif KNOWN[name]:
         fixed = fixed | chain.table.matching(KNOWN[name])

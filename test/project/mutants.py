@@ -81,6 +81,20 @@ class Mutant:
 
 MUTANTS = (
     Mutant(
+        "mechanisms/chain.py",
+        "        if regular[0] < MIN_REGULARITY * regular.max():\n",
+        "        if False:\n",
+        "a chain begins where two assembly modes meet",
+        "test_chain.py test_closed_chain_files.py",
+    ),
+    Mutant(
+        "exporting/targets/mjcf.py",
+        "        if np.abs(apart).max() > ROUNDING_TOLERANCE:\n            raise",
+        "        if False:\n            raise",
+        "the target moves the end of a loop that has the same site",
+        "test_closed_chain_files.py",
+    ),
+    Mutant(
         "base/rotation.py",
         "    return np.where(q[..., 3:] < 0, -q, q)\n",
         "    return q\n",

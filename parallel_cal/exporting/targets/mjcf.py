@@ -23,7 +23,7 @@ from parallel_cal.exporting.calibrated_linkage import (
 )
 from parallel_cal.exporting.drawn_linkage import drawn_poses
 from parallel_cal.exporting.editing import read_verbatim
-from parallel_cal.importing.linkage import FIXED
+from parallel_cal.importing.linkage import FIXED, LinkageLoop
 from parallel_cal.importing.located_xml import Element, XmlEdit
 from parallel_cal.importing.mjcf_elements import (
     ORIENTATIONS,
@@ -59,10 +59,11 @@ def edit(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str
         for body in document.bodies.values()
         for element, values, pose in body.sites
     }
-    for (name, side), frame in found.ends.items():
-        _set_end(edits, document, found, places, (name, side), frame)
+    name = model.frames["platform"]
+    require_one_place(document, found, files[0], name)
+    for end, frame in found.ends.items():
+        _set_end(edits, document, found, places, end, frame)
     if found.target is not None:
-        name = model.frames["platform"]
         if name in places:
             element, at = places[name]
             _set_pose(edits, element, document.settings, np.linalg.solve(at, found.target))
@@ -70,6 +71,46 @@ def edit(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str
             remarks.append(describe_target(found, name, "a site"))
     texts = {path: change.apply(read_verbatim(path)) for path, change in edits.items()}
     return texts or {files[0]: read_verbatim(files[0])}, remarks
+
+
+def require_one_place(document: Document, found: Calibrated, path: Path, platform: str) -> None:
+    """Raise ModelError if a site must be at two places: of two loops, or of a loop and {P}."""
+    points: dict[str, Array] = {}
+    for loop in found.linkage.loops:
+        for side, end in (("a", loop.a), ("b", loop.b)):
+            site = _site_of(document, loop, side)
+            if site is None:
+                continue
+            point = found.ends.get((loop.name, side), end.frame)[:3, 3]
+            if np.abs(points.setdefault(site, point) - point).max() > ROUNDING_TOLERANCE:
+                raise ModelError(
+                    f"{path}: site '{site}' is the end of two loops, which have moved apart: give "
+                    "each loop a site of its own"
+                )
+    if platform in points:
+        target = found.linkage.frames[platform].frame if found.target is None else found.target
+        apart = target[:3, 3] - points[platform]
+        if np.abs(apart).max() > ROUNDING_TOLERANCE:
+            raise ModelError(
+                f"{path}: site '{platform}' is the platform and the end of a loop, which are "
+                f"{1e3 * np.linalg.norm(apart):.3g} mm apart now: give the platform a site of its "
+                "own"
+            )
+
+
+def _site_of(document: Document, loop: LinkageLoop, side: str) -> str | None:
+    """Return the site at the end of a loop or of a rod; None if bodies state it."""
+    element = _element_of(document, loop)
+    if element is None or loop.drawn:
+        return None
+    if element.tag == "spatial":
+        return element.all("site")["ab".index(side)].get("site")
+    return document.with_defaults(element, "equality").get("site1" if side == "a" else "site2")
+
+
+def _element_of(document: Document, loop: LinkageLoop) -> Element | None:
+    parts = [*document.section("equality"), *document.section("tendon")]
+    return next((one for one in parts if one.where == loop.where), None)
 
 
 def _set_body(
@@ -116,22 +157,13 @@ def _set_end(
     """State the point of a loop or of a rod: an anchor, or the place of a site."""
     name, side = end
     loop = next(one for one in found.linkage.loops if one.name == name)
-    element = next(
-        one
-        for tag in ("equality", "tendon")
-        for one in document.section(tag)
-        if one.where == loop.where
-    )
-    if loop.drawn:
+    key = _site_of(document, loop, side)
+    if key is None:
         # The other end follows from where the bodies are drawn, as a weld does.
-        if side == "a" and element.tag == "connect":
+        element = _element_of(document, loop)
+        if side == "a" and element is not None and element.tag == "connect":
             _edit(edits, element).set(element, "anchor", format_exactly(frame[:3, 3]))
         return
-    if element.tag == "spatial":
-        key = element.all("site")["ab".index(side)].get("site")
-    else:
-        values = document.with_defaults(element, "equality")
-        key = values["site1" if side == "a" else "site2"]
     site, at = places[key]
     _set_pose(edits, site, document.settings, np.linalg.solve(at, frame))
 
