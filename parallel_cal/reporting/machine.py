@@ -160,10 +160,10 @@ def draw_machine(
     ]
     glow = [part for _, found in glowing for part in found]
     robot = [
-        trace_lines(kind, own)
+        trace_lines(kind, plain)
         for kind in dict.fromkeys(part.kind for part in parts)
         if (
-            own := [
+            plain := [
                 part for part in parts if part.kind == kind and not any(part is one for one in glow)
             ]
         )
