@@ -273,6 +273,17 @@ def test_there_is_no_next_step_while_nothing_is_judged_and_after_a_save(view, is
 # ------------------------------------------------------------------ in the views
 
 
+def test_a_sentence_that_begins_with_an_effect_has_its_name_for_people():
+    from parallel_cal.diagnosis.verdict import Verdict
+    from parallel_cal.workbench.views import _verdict
+
+    verdict = Verdict("explained", "own_weight_sag accounts for it", remarks=("encoder_gain fits",))
+    diagnosis = SimpleNamespace(verdict=verdict, model=SimpleNamespace(effects=()))
+    said = _verdict(SimpleNamespace(diagnosis=diagnosis))
+    assert said["words"] == "Sag by its own weight accounts for it."
+    assert said["remarks"] == ["Gain of the drives fits."]
+
+
 @pytest.mark.wide
 def test_all_that_is_shown_has_one_frame_one_set_of_samples_and_one_noise(tmp_path):
     from parallel_cal.workbench import views

@@ -83,6 +83,7 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         }
         | {name: table.find(one.column) for name, one in find_readings(table).items()},
         "joints": dict(zip(mechanism.joints, mechanism.joint_units, strict=True)),
+        "assumed_unit": table.assumed_unit,
         "with_unit": [word for word in table.header if split_unit(word)[1]],
         "remembered": known and known[0].columns,
         "remembered_from": known and _describe_import(*known),

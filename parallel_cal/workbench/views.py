@@ -400,8 +400,8 @@ def _verdict(found: Report) -> View:
     return {
         "word": said.word,
         "label": said.label,
-        "words": name_effects(sentence(said.summary)),
-        "remarks": [name_effects(sentence(words)) for words in said.remarks],
+        "words": sentence(name_effects(said.summary)),
+        "remarks": [sentence(name_effects(words)) for words in said.remarks],
     }
 
 
