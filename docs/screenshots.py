@@ -56,7 +56,7 @@ def show_workbench(browser: Any, work: Path, folder: Path) -> None:
     try:
         page = open_page(browser, served.url, 1000)
         page.get_by_role("button", name="Fit", exact=True).click()
-        page.locator("#verdict").get_by_text("backlash").wait_for()
+        page.locator("#verdict-words").get_by_text("backlash").wait_for()
         wait_until_drawn(page)
         page.screenshot(path=folder / "workbench.png")
         page.set_viewport_size(FIRST_SCREEN)

@@ -34,7 +34,7 @@ PATIENCE_MS, REPEATS = 1_800_000, 3
 TABS = ("joints, round", "sides", "uncertainty", "joints")
 # Notes when a person acts, and when the page last changed what it shows.
 WATCH = """() => {
-  const shown = ".js-plotly-plot, table, #marked, #verdict, #headline";
+  const shown = ".js-plotly-plot, table, #marked, #verdict-words, #headline";
   for (const kind of ["mouseup", "click"])
     addEventListener(kind, () => { window.acted = performance.now() }, { capture: true });
   new MutationObserver(changes => {
@@ -165,8 +165,9 @@ def _time(page: Any, act: Callable[[], object]) -> float:
 
 
 def _until(name: str, page: Any, words: str, begin: float) -> Row:
-    """Seconds until the verdict in the header matches."""
-    matches = "words => document.querySelector('#verdict')?.innerText.match(words)?.index >= 0"
+    """Seconds until the word or the sentences of the verdict match."""
+    matches = """words => [...document.querySelectorAll("#verdict, #verdict-words")]
+      .some(part => part.innerText.match(words))"""
     page.wait_for_function(matches, arg=words or ".")
     return Row(name, time.perf_counter() - begin)
 

@@ -10,21 +10,49 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.base.units import MM
+from parallel_cal.base.units import LENGTHS, MM
 from parallel_cal.importing.deltas import JOINT_NAMES, Delta, end_stops
 from parallel_cal.importing.settings import SourceLine, sha256
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.header_names import find_position
 from parallel_cal.recordings.loading import order_joints
 from parallel_cal.recordings.recording import Array, Dropped
 from parallel_cal.recordings.samples import READING
+from parallel_cal.recordings.table import read_table, split_unit
 
 PROBE = READING + "probe"
 NO_SIZE = (
     "touches of the bed cannot determine the print scale (cannot_know): a printer that is 1 % too "
     "large gives the same touches. Measure one printed length"
 )
+
+
+def read_touch_table(path: Path, max_height_mm: float) -> tuple[Array, list[SourceLine]] | None:
+    """Read touches (N, 3) in m, and the line of each, of a table with the columns x, y and z, in mm
+    if the header states no unit; None if it has no such columns. DatasetError for a height that no
+    probe reaches."""
+    table = read_table(path)
+    columns = [name for name in find_position(table, ()) or () if name]
+    if not columns:
+        return None
+    table = table.drop_empty_rows()
+    words = [table.find(name) or name for name in columns]
+    units = [split_unit(word)[1] or "mm" for word in words]
+    if wrong := [word for word, unit in zip(words, units, strict=True) if unit not in LENGTHS]:
+        raise DatasetError(
+            f"{path}:1: column {wrong[0]} is no length; expected {', '.join(LENGTHS)}"
+        )
+    points = table.numbers(words) * [LENGTHS[unit] for unit in units]
+    places = [SourceLine(path, line) for line in table.lines]
+    if (far := np.flatnonzero(np.abs(points[:, 2]) > max_height_mm * MM)).size:
+        raise places[far[0]].error(
+            words[2],
+            f"{points[far[0], 2] / MM:g} mm",
+            f"the height of the bed there, within {max_height_mm:g} mm of the nominal plane",
+        )
+    return points, places
 
 
 @dataclass(frozen=True)

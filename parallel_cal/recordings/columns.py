@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import math
-import re
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
-from parallel_cal.base.errors import DatasetError, ModelFileError, format_suggestion
+from parallel_cal.base.errors import ModelFileError, format_suggestion
 from parallel_cal.base.files import read_foreign_text
-from parallel_cal.base.units import CONDITION_UNITS, LENGTHS, UNITS, Angle, Length
-from parallel_cal.model.effect import CONDITIONS, parse_part
+from parallel_cal.base.units import LENGTHS, UNITS, Angle, Length
+from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.recordings.channels import list_channels
-from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
 from parallel_cal.recordings.robot_conventions import complete_map
-from parallel_cal.recordings.samples import READING
-from parallel_cal.recordings.table import Table, split_condition, split_unit
 
 
 def _factor_of_term(given: Any) -> Any:
@@ -288,142 +282,7 @@ PARTS: dict[str, type[Part]] = {
     "log": Log,
     "noise": NoisePart,
 }
-SAMPLE_NAMES = ("shot", "id", "name", "label")  # usual names of the column of a row's name
 ORIENTATIONS = ("orientation", "angles", "rotation_vector", "matrix")
-POSITION, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # names without a column map
-# Quaternions as trackers export them (x y z w): Leica's T-Mac and T-Probe have the scalar first.
-EXPORTED_QUATERNIONS = (
-    QUATERNION,
-    ("q1", "q2", "q3", "q0"),
-    ("quaternion1", "quaternion2", "quaternion3", "quaternion0"),
-    ("dquaternion1", "dquaternion2", "dquaternion3", "dquaternion0"),
-)
-MAX_NORM_ERROR = 0.01  # of a quaternion; four other columns q0 to q3 are none
-MAX_SHOWN_HEADER = 400  # characters of a table's header in a message
-
-
-def map_by_names(
-    table: Table, joints: Sequence[str], beside: Path, controls: Sequence[str] = POSITION
-) -> ColumnMap:
-    """Return the column map of a table whose columns have the names of the joints, x, y, z and qx,
-    qy, qz, qw, of readings (`reading.CHANNEL`) and of conditions. Of x, y and z it needs those that
-    the robot `controls`. DatasetError with the columns that are missing; the map can be stated in
-    the file `beside`."""
-    missing = [joint for joint in joints if table.find(joint) is None]
-    turned = find_quaternion(table, joints)
-    columns = {joint: joint for joint in joints}
-    words = [split_unit(word)[0] for word in table.header]
-    if missing and (alike := match_numbered_names(joints, words)):
-        columns, missing = alike, []
-    names = {column: joint for joint, column in columns.items()}
-    position, orientation = (
-        [name for name in names if name not in joints and table.find(name) is not None]
-        for names in (POSITION, QUATERNION)
-    )
-    needed = [name for name in POSITION if name in controls] or list(POSITION)
-    located = set(needed) <= set(position)
-    readings = find_readings(table)
-    orientation = orientation if len(orientation) == 4 else turned or []
-    if missing or not joints or not (located or orientation or readings):
-        raise DatasetError(_explain_missing(table, joints, missing, needed, beside))
-    return ColumnMap(
-        joints={joint: JointColumn(column=columns[joint]) for joint in joints},
-        position=PositionColumns(columns=[name if name in position else None for name in POSITION])
-        if located
-        else None,
-        orientation=orientation or None,
-        readings=readings,
-        conditions=rename_conditions(find_conditions(table, [*names]), names),
-        name=find_names(table),
-    )
-
-
-def find_quaternion(table: Table, joints: Sequence[str]) -> list[str] | None:
-    """Return the columns x y z w of a quaternion by the names that trackers export, in capitals or
-    not; None if there are none, if they are joints, or if their norm is not 1."""
-    words = {split_unit(word)[0].lower(): word for word in table.header if word}
-    for names in EXPORTED_QUATERNIONS:
-        if not all(name in words and words[name] not in joints for name in names):
-            continue
-        columns = [words[name] for name in names]
-        norm = np.linalg.norm([table.column(name) for name in columns], axis=0)
-        norm = norm[np.isfinite(norm)]
-        if len(norm) and (np.abs(norm - 1) < MAX_NORM_ERROR).all():
-            return columns
-    return None
-
-
-def find_names(table: Table) -> str | None:
-    """Return the column of a table that has a name of each row; None if no column has its usual
-    names."""
-    small = {word.lower(): word for word in table.header}
-    return next((small[name] for name in SAMPLE_NAMES if name in small), None)
-
-
-def _explain_missing(
-    table: Table,
-    joints: Sequence[str],
-    missing: Sequence[str],
-    needed: Sequence[str],
-    beside: Path,
-) -> str:
-    """Say which columns a table without a column map lacks, of the joints or of the `needed`
-    coordinates, and where to state others."""
-    problem = f"no columns {', '.join(missing or needed)}"
-    stated = f"the columns in the file {beside}, or --data columns=MAP.yaml"
-    expected = (
-        "Expected the joints of the model, and x, y and z or qx, qy, qz and qw, each length and "
-        f"angle with its unit ({joints[0] if joints else 'joint1'} [mm]). Otherwise state {stated}"
-    )
-    shared = [name for name in POSITION if name in joints]
-    if not joints:
-        problem = "nothing states which columns are joints, because no model file was given"
-    elif shared and not missing:
-        problem = f"the model has joints {', '.join(shared)}, so no column contains the position"
-        example = ", ".join(f"{name}: {{column: {name}}}" for name in shared)
-        expected = (
-            "Give the columns of the position other names, such as tool_x [mm], and state all of "
-            f"{stated}: joints: {{{example}}}, position: {{columns: [tool_x, tool_y, tool_z]}}"
-        )
-    header = textwrap.shorten(", ".join(table.header), MAX_SHOWN_HEADER, placeholder=" ...")
-    return f"{table.path}:1: {problem}; the table has {header}. {expected} (see docs/import_csv.md)"
-
-
-def find_readings(table: Table) -> dict[str, ReadingColumn]:
-    """Return the columns of a table that are named `reading.CHANNEL`."""
-    named = [split_unit(word)[0] for word in table.header]
-    return {
-        name.removeprefix(READING): ReadingColumn(column=name)
-        for name in named
-        if name.startswith(READING)
-    }
-
-
-def find_conditions(table: Table, joints: Sequence[str]) -> dict[str, str | float]:
-    """Return the columns of a table that have the name of a condition, with its unit or without;
-    DatasetError for a unit that is none of this quantity."""
-    found: dict[str, str | float] = {}
-    for word in table.header:
-        name, unit = split_condition(word)
-        bracketed = re.fullmatch(r"(.+?)\s*[\[(](.+)[\])]", word)
-        name = bracketed[1] if bracketed else name
-        kind, dot, part = name.partition(".")
-        kind = kind.lower()  # devices write Temperature
-        name = f"{kind}{dot}{part}"
-        if kind not in CONDITIONS:
-            continue
-        per_joint = CONDITIONS[kind][2]
-        if not (part in joints if per_joint else not part or parse_part(name)):
-            continue
-        if bracketed and unit is None and split_unit(word)[1] is None:
-            own = CONDITIONS[kind][0]
-            known = ", ".join(CONDITION_UNITS.get(own, (own,)))
-            raise DatasetError(
-                f"{table.path}:1: column {word}: '{bracketed[2]}' is no unit of {kind}; expected "
-                f"{known}"
-            )
-        found[name] = word
-    return found
 
 
 def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from parallel_cal.base.errors import DatasetError, format_suggestion
 from parallel_cal.recordings.columns import ColumnMap, read_column_map
@@ -42,4 +43,8 @@ def import_csv(
     if robot not in CONVENTIONS:
         near = format_suggestion(robot, list(CONVENTIONS))
         raise DatasetError(f"robot={robot}{near}: expected one of {', '.join(CONVENTIONS)}")
-    return load_tables(tables, ColumnMap(robot=robot), f"robot={robot}", options)  # type: ignore[call-arg]
+    stated: dict[str, Any] = {"robot": robot}
+    convention = CONVENTIONS[robot]
+    if not any(table.find(name) for table in tables for name in convention.turns):
+        stated["position"] = {"columns": list(convention.position)}  # as a tracker measures it
+    return load_tables(tables, ColumnMap.model_validate(stated), f"robot={robot}", options)

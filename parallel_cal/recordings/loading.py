@@ -18,8 +18,9 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.channels import find_channel, list_channels
 from parallel_cal.recordings.clocks import align_clocks
-from parallel_cal.recordings.columns import POSITION, ColumnMap, map_by_names, read_column_map
+from parallel_cal.recordings.columns import ColumnMap, read_column_map
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.header_names import POSITION, check_units, map_by_names
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.joint_names import (
     describe_match,
@@ -140,8 +141,11 @@ def load_table(path: Path, options: ReadOptions) -> Dataset:
     if options.columns or beside.is_file():
         file = Path(options.columns or beside)
         return load_tables([table], read_column_map(file), str(file), options)
-    controls = options.mechanism.controls if options.mechanism else POSITION
+    robot = options.mechanism
+    controls = robot.controls if robot else POSITION
     wanted = map_by_names(table, options.joint_names or (), beside, controls)
+    units = dict(zip(robot.joints, robot.joint_units, strict=True)) if robot else {}
+    check_units(table, wanted, beside, units)
     dataset = load_tables([table], wanted, str(beside), options)
     columns = {joint: of.column or joint for joint, of in wanted.joints.items()}
     matched = {joint: column for joint, column in columns.items() if column != joint}

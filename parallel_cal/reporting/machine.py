@@ -21,14 +21,13 @@ from parallel_cal.reporting.names import title_of
 from parallel_cal.reporting.readable import error_unit, number
 from parallel_cal.reporting.spaces import draw_arrows
 
-# An earlier stage is drawn on the scale of the later ones if its arrows are at most this many times
-# as long; otherwise on a scale of its own.
+# The axes hold arrows at most this many times as long as on their own scale; they cut longer ones.
 MAX_ARROW_RATIO = 4.0
 MIN_GLOWING_SIGMAS = 2.0  # of a size that makes a part glow
 DEVICE_NEAR = 2.2  # half extents of the robot within which the device is drawn at its place
 GLOW_WIDTH, GLOW_COLOUR = 16, "#f08c2e"
 LABEL = {"bgcolor": "rgba(160,160,160,0.6)", "font": {"size": 12}}
-ARROW_RATIO = 0.06  # least length of a typical large arrow, as a share of the robot
+ARROW_RATIO = 0.12  # least length of a typical large arrow, as a share of the robot
 LOWER = -0.2  # than other figures in space is the middle, so that no label at the bottom is cut
 SCENE_TOP = 0.92  # of the picture; the colour bar is above
 NO_PLACES, NO_NUMBERS = np.empty((0, 3)), np.empty(0, int)
@@ -114,17 +113,28 @@ def draw_machine(
 ) -> Spec | None:
     """Draw the robot at home, the device, and for each stage the errors at places (N, 3) in {B}.
 
-    The result has the `layout`, the traces `robot` that all stages share, and the `stages`, each
-    with its name, rms `error`, magnification `scale` and traces. All stages have one ramp of
-    colours. The parts that err glow. None if the mechanism draws nothing.
+    The result has the `layout`, the traces `robot` that all stages share, the magnifications
+    `scales`, and the `stages`, each with its name, rms `error`, and traces by magnification. The
+    first magnification shows the errors of the first stage, the second one, if any, enlarges those
+    that became small. Each holds for all stages, so that the arrows shrink as the errors do; so
+    does one ramp of colours. The parts that err glow. None if the mechanism draws nothing.
     """
     parts = lines(model)
     if not parts:
         return None
     shown = [_choose_samples(places, stage) for stage in stages]
     robot_size = float(np.ptp(np.vstack([part.points for part in parts]), axis=0).max())
-    scales = _scales(shown, robot_size)
-    ends = [at + scale * field for (_, at, field), scale in zip(shown, scales, strict=True)]
+    own = [
+        max(scale_of(at, [field]), round_below(ARROW_RATIO * robot_size / typical(field)))
+        for _, at, field in shown
+    ]
+    scales = sorted({own[0], max(own)}) if own else []
+    ends = [
+        at + scale * field
+        for (_, at, field), best in zip(shown, own, strict=True)
+        for scale in scales
+        if scale <= MAX_ARROW_RATIO * best
+    ]
     points = 1e3 * np.vstack([*[part.points for part in parts], places, *ends])
     low, high = points.min(axis=0), points.max(axis=0)
     device = _draw_device(model, low, high)
@@ -133,20 +143,27 @@ def draw_machine(
         {
             "name": stage.name,
             "error": stage.error,
-            "scale": scale,
-            "traces": draw_arrows(at, field, scale, "position", numbers[which], ramp),
+            "traces": [
+                [
+                    trace
+                    for trace in draw_arrows(at, field, scale, "position", numbers[which], ramp)
+                    # The axes cut lines, but not heads.
+                    if scale <= MAX_ARROW_RATIO * best or trace["type"] != "mesh3d"
+                ]
+                for scale in scales
+            ],
         }
-        for stage, (which, at, field), scale in zip(stages, shown, scales, strict=True)
+        for stage, (which, at, field), best in zip(stages, shown, own, strict=True)
     ]
     glowing = [
         (one, found) for one in erring if (found := _find_lines(parts, one.owner, model.joints))
     ]
     glow = [part for _, found in glowing for part in found]
     robot = [
-        trace_lines(kind, own)
+        trace_lines(kind, plain)
         for kind in dict.fromkeys(part.kind for part in parts)
         if (
-            own := [
+            plain := [
                 part for part in parts if part.kind == kind and not any(part is one for one in glow)
             ]
         )
@@ -157,6 +174,7 @@ def draw_machine(
     bar = [ramp.bar("position")] if drawn else []
     return {
         "robot": [trace | {"showlegend": False} for trace in (*robot, *device, *bar)],
+        "scales": scales,
         "stages": drawn,
         "layout": _layout(parts, low, high, device, glowing),
     }
@@ -193,18 +211,6 @@ def _choose_samples(places: np.ndarray, stage: Stage) -> tuple[np.ndarray, np.nd
     """The samples (indices) that a stage judges, their places and their errors."""
     which = np.flatnonzero(np.isfinite(stage.field).all(axis=1))
     return which, places[which], stage.field[which]
-
-
-def _scales(
-    shown: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], robot_size: float
-) -> list[float]:
-    """One magnification for all stages, unless the arrows of an earlier one would be too long."""
-    own = [
-        max(scale_of(at, [field]), round_below(ARROW_RATIO * robot_size / typical(field)))
-        for _, at, field in shown
-    ]
-    usual = own[min(1, len(own) - 1)] if own else 1.0  # of the present model, if there are three
-    return [usual if usual <= MAX_ARROW_RATIO * one else one for one in own]
 
 
 def _draw_device(model: Model, low: np.ndarray, high: np.ndarray) -> list[Spec]:

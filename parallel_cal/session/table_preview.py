@@ -13,12 +13,17 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.columns import (
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.header_names import (
+    OTHER_NAMES,
+    POSITION,
+    QUATERNION,
     find_conditions,
     find_names,
+    find_position,
+    find_quaternion,
     find_readings,
 )
-from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
 from parallel_cal.recordings.loading import MAP_SUFFIX, load_sessions
 from parallel_cal.recordings.options import ReadOptions
@@ -27,12 +32,10 @@ from parallel_cal.session.history import History
 from parallel_cal.session.known_columns import KnownColumns, recall_columns
 
 MAX_SHOWN_ROWS = 4
-POSITION, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 # Usual names of the columns of three angles, in small letters.
 ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("a", "b", "c"))
 # Conditions that people often record, with other usual names; all count in small letters, too.
-USUAL_CONDITIONS = {
-    "time": ("timestamp",),
+USUAL_CONDITIONS = OTHER_NAMES | {
     "temperature": ("temp",),
     "payload": ("load", "mass"),
 }
@@ -55,6 +58,11 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         conditions = rename_conditions(find_conditions(table, [*mechanism.joints, *names]), names)
     except ParallelCalError as error:
         return {"error": str(error)}
+    place = find_position(table, [*names]) or ()
+    turned = find_quaternion(table, [*names]) or ()
+    pose = zip(
+        (*POSITION[: len(place)], *QUATERNION[: len(turned)]), (*place, *turned), strict=True
+    )
     usual = {name: _find(table, name, *more) for name, more in USUAL_CONDITIONS.items()}
     known = recall_columns(folder, mechanism, table.header)
     angles = [[_find(table, name) for name in names] for names in ANGLES]
@@ -63,7 +71,9 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         "header": table.header,
         "rows": table.rows[:MAX_SHOWN_ROWS],
         "count": len(table.rows),
-        "columns": joints | {name: _find(table, name) for name in (*POSITION, *QUATERNION)},
+        "columns": joints
+        | dict.fromkeys((*POSITION, *QUATERNION))
+        | {name: table.find(column) for name, column in pose},
         "angles": next((names for names in angles if all(names)), [None] * 3),
         "conditions": usual | conditions,
         "name": find_names(table),
@@ -73,6 +83,7 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         }
         | {name: table.find(one.column) for name, one in find_readings(table).items()},
         "joints": dict(zip(mechanism.joints, mechanism.joint_units, strict=True)),
+        "assumed_unit": table.assumed_unit,
         "with_unit": [word for word in table.header if split_unit(word)[1]],
         "remembered": known and known[0].columns,
         "remembered_from": known and _describe_import(*known),

@@ -19,8 +19,13 @@ from parallel_cal.reporting.names import name_effects, title_of
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.error_steps import find_steps
-from parallel_cal.workbench.next_step import NextStep, find_next_step
-from parallel_cal.workbench.widgets import Chip, card, draw_figure
+from parallel_cal.workbench.next_step import (
+    NextStep,
+    WaysOn,
+    find_next_step,
+    offer_deciding_poses,
+)
+from parallel_cal.workbench.widgets import HEADING, card, draw_figure
 
 WELCOME = (
     "This page finds how your robot differs from its model, names the physical effect that the "
@@ -32,6 +37,7 @@ STEPS = (
     "Add the effect that the errors show.",
     "Save the better model for the robot.",
 )
+NOT_JUDGED = "Model and measurements"  # title of the card while there is no verdict
 NO_ERRORS = "The robot at home, to scale, as its model file describes it."
 
 
@@ -46,7 +52,9 @@ class MachineCard:
         with card("Machine") as self.card:
             with ui.element().classes("machine") as self._place:
                 pass
-            self.words = ui.label().props("id=machine-words").classes("text-sm quiet")
+            with ui.row().classes("items-center gap-x-3 gap-y-0"):
+                self.words = ui.label().props("id=machine-words").classes("text-sm quiet")
+                self._enlarge = ui.checkbox("enlarge", on_change=self._draw).props("dense")
             with ui.column().classes("w-full gap-0") as self._choice:
                 self._slider = ui.element().classes("w-full")
                 self._labels = ui.row().classes("w-full no-wrap justify-between gap-2 text-xs")
@@ -83,13 +91,17 @@ class MachineCard:
     def _draw(self) -> None:
         stages, traces = self._machine["stages"], self._machine["robot"]
         words = NO_ERRORS
+        scales = self._machine.get("scales", ())
+        self._enlarge.set_visibility(len(scales) > 1)
         if stages:
-            stage = stages[self._stage]
-            traces = [*traces, *stage["traces"]]
+            stage, chosen = stages[self._stage], -1 if self._enlarge.value else 0
+            traces = [*traces, *stage["traces"][chosen]]
+            every = "every step " if len(stages) > 1 else ""
             words = (
-                f"Errors of the position in the frame of the base, {stage['name']}: "
-                f"{stage['error']} rms, magnified {stage['scale']:g} times."
+                f"Position errors in the frame of the base, {stage['name']}: "
+                f"{stage['error']} rms; {every}magnified {scales[chosen]:g} times."
             )
+            self._enlarge.set_text(f"enlarge {scales[-1] / scales[0]:g} times")
         self.words.set_text(words)
         config = {"displayModeBar": False}
         figure = {"data": traces, "layout": self._machine["layout"], "config": config}
@@ -98,13 +110,17 @@ class MachineCard:
 
 
 class VerdictCard:
-    """The card Verdict: how the error fell, the two answers, and the next step."""
+    """The card Verdict: how the error fell, the two answers, and the next step.
 
-    def __init__(self, bench: Bench, import_table: Callable[[], object]):
-        self.bench, self._import = bench, import_table
+    The header, which stays in view, has the verdict's word; the card has its sentences.
+    """
+
+    def __init__(self, bench: Bench, ways: WaysOn):
+        self.bench, self._ways = bench, ways
         self._next: NextStep | None = None
         self._view: dict[str, Any] = {}
-        with card("Verdict") as self.card:
+        with ui.card().classes("w-full gap-2").props("role=region") as self.card:
+            self.title = ui.label().classes("text-base font-bold").props(HEADING)
             with ui.element().classes("falling") as self._place:
                 pass
             self._figure: Any = None
@@ -117,10 +133,9 @@ class VerdictCard:
                 self.next = ui.button(on_click=self._begin).props("no-caps id=next")
                 self.saved = ui.label().props("id=saved")
                 self.why = ui.button("Why?", on_click=self._prove).props("flat no-caps dense")
+                self.poses = ui.button(on_click=ways.show_poses).props("flat no-caps dense")
             with ui.column().classes("gap-1 w-full text-sm").props("id=verdict-words"):
-                with ui.row().classes("items-center gap-0"):
-                    self.chip = Chip()
-                    self.words = ui.label()
+                self.words = ui.label()
                 self.remarks = ui.column().classes("gap-1 w-full")
             self.included = ui.label().props("id=included").classes("text-xs quiet")
 
@@ -153,8 +168,12 @@ class VerdictCard:
         self.show_next()
 
     def _show_verdict(self, verdict: dict[str, Any]) -> None:
-        """Show its word, at most two sentences, and a list, of which three lines are open."""
-        self.chip.show(verdict)
+        """Show at most two sentences, and a list, of which three lines are open."""
+        title = NOT_JUDGED
+        if "word" in verdict:
+            title = "Preliminary verdict" if verdict.get("is_preliminary") else "Verdict"
+        self.title.set_text(title)
+        self.card.props(f'aria-label="{title}"')
         self.words.set_text(name_effects(write_micro(verdict["words"])))
         self.remarks.clear()
         remarks = verdict.get("remarks", ())
@@ -166,13 +185,16 @@ class VerdictCard:
 
     def show_next(self) -> None:
         """Show the step that follows from the state; it waits while another one runs."""
-        self._next = find_next_step(self.bench, self._import)
+        self._next = find_next_step(self.bench, self._ways)
         self.next.set_visibility(self._next is not None)
         if self._next is not None:
             self.next.set_text(self._next.words)
             self.next.props(f'aria-label="next step: {self._next.words}"')
         self.next.set_enabled(not self.bench.busy)
-        is_saved = self._next is None and self.bench.has_samples and self.bench.is_saved
+        offered = offer_deciding_poses(self._view)
+        self.poses.set_visibility(bool(offered) and getattr(self._next, "words", "") != offered)
+        self.poses.set_text(offered)
+        is_saved = "answers" in self._view and self.bench.is_saved
         self.saved.set_visibility(is_saved)
         self.saved.set_text(f"This model is saved in {self.bench.output.name}.")
 
@@ -241,8 +263,8 @@ def explain_exclusion(size: str) -> str:
 class WelcomeCard:
     """What an empty page says: what it is, for which robot, and the four steps."""
 
-    def __init__(self, bench: Bench, import_table: Callable[[], object]):
-        self.bench = bench
+    def __init__(self, bench: Bench, ways: WaysOn):
+        self.bench, self._ways = bench, ways
         with card("Calibrate your robot") as self.card:
             ui.label(WELCOME)
             self.robot = ui.label().props("id=robot").classes("font-bold")
@@ -260,10 +282,9 @@ class WelcomeCard:
                     "adds 80 poses of a robot that was simulated from this model, with backlash; "
                     "Undo removes them"
                 )
-        self._import = import_table
 
     def _begin(self) -> None:
-        if (step := find_next_step(self.bench, self._import)) is not None:
+        if (step := find_next_step(self.bench, self._ways)) is not None:
             step.begin()
 
     def show(self, words: str, can_begin: bool) -> None:
@@ -273,7 +294,7 @@ class WelcomeCard:
         self.robot.set_text(view.get("robot", ""))
         self.robot.set_visibility("robot" in view)
         self.empty.set_text(words)
-        step = find_next_step(self.bench, self._import) if can_begin else None
+        step = find_next_step(self.bench, self._ways) if can_begin else None
         self.next.set_visibility(step is not None)
         self.example.set_visibility(step is not None and self.bench.live is None)
         for button in (self.next, self.example):

@@ -18,6 +18,7 @@ from parallel_cal.workbench.widgets import Chip, card, table
 
 READING = {"words": "Reading the measurements. This takes a few seconds."}
 NOTHING = {"words": "no samples in this session yet"}
+UNJUDGED = {"word": "", "label": "not judged yet"}
 CAMPAIGN_RUNS = {"words": "The campaign is measuring. Press Take samples to see its samples here."}
 
 
@@ -42,8 +43,8 @@ class Header:
                 with ui.row().classes("grow basis-0 min-w-0 no-wrap items-center gap-0") as said:
                     said.props("id=verdict role=status aria-live=polite")
                     self.chip = Chip()
-                    self.verdict = ui.label().classes("truncate sentence")
-                with self.verdict:
+                    self.verdict = ui.label().classes("truncate")
+                with said:
                     self.whole = ui.tooltip()
                 with ui.row().classes("headline items-center no-wrap gap-2 shrink-0") as row:
                     self.headline = row
@@ -84,13 +85,15 @@ class Header:
         self.fraction.set_value(bench.fraction)
 
     def show_verdict(self) -> None:
-        """Show the verdict; without samples, what the campaign at the robot does about it."""
+        """Show the word of the verdict, whose sentences are in the card Verdict; without samples,
+        what the campaign at the robot does about it."""
         runs = self.campaign is not None and self.campaign.runs
         empty = READING if self.bench.view is None else CAMPAIGN_RUNS if runs else NOTHING
         verdict = (self.bench.view or {}).get("verdict", empty)
         words = name_effects(write_micro(verdict["words"]))
-        self.chip.show(verdict)
-        self.verdict.set_text(words)
+        has_card = self.bench.has_samples
+        self.chip.show(verdict if "word" in verdict or not has_card else verdict | UNJUDGED)
+        self.verdict.set_text("" if has_card else words)
         self.whole.set_text(words)
 
 

@@ -39,6 +39,10 @@ UNITS = {"time": "s", "temperature": "degC", "payload": "kg"}
 # The units in which people enter noise, and their factors to SI.
 NOISE_UNITS = {"m": ("µm", 1e-6), "rad": ("mrad", 1e-3), "m or rad": ("m or rad", 1.0)}
 SUFFIXES = ".csv,.tsv,.txt"
+TOUCHES = (
+    "A table of touches of a bed has no joint readings: import it with the configuration of the "
+    "printer (parallel-cal import rrf TABLE config.g)"
+)
 POLL_INTERVAL_S = 0.1
 # The buttons that Quasar draws in their place have no names for screen readers.
 UPLOAD_HEADER = """
@@ -180,6 +184,7 @@ class ColumnForm:
     def __init__(self, found: Mapping[str, Any]):
         """`found` is the preview of the table."""
         self._header, self._with_unit = found["header"], set(found["with_unit"])
+        self._assumed_unit = found["assumed_unit"]
         guessed: dict[str, str | None] = found["columns"]
         known = found["remembered"] is not None  # the last table had these columns
         self._doubtful = ui.column().classes("w-full gap-2")
@@ -284,15 +289,28 @@ class ColumnForm:
         return self._orientations.get(self._kind.value, [])
 
     def find_problem(self) -> str:
-        """Say what needs a column and has none, or which two quantities have the same; empty if
-        none. A position is complete, or not measured."""
+        """Say what needs a column or a unit and has none, or which two quantities have the same
+        column; empty if none. A position is complete, or not measured."""
         asked = {name: column for name, (column, _, _) in self._joints.items()}
         if any(one.value for one in self._position):
             asked |= dict(zip("xyz", self._position, strict=True))
         each = zip(ORIENTATIONS[self._kind.value], self._chosen_orientation, strict=True)
         asked |= {f"{self._kind.value} ({name})": column for name, column in each}
         if missing := [name for name, column in asked.items() if not column.value]:
-            return f"choose a column for {', '.join(missing)}"
+            words = f"choose a column for {', '.join(missing)}"
+            if set(missing) == set(self._joints) and all(one.value for one in self._position):
+                words += f". {TOUCHES}"
+            return words
+        units = [(f"unit of {name}", one, unit) for name, (one, unit, _) in self._joints.items()]
+        if not self._assumed_unit:
+            units += [("unit of x, y, z", one, self._position_unit) for one in self._position]
+        unitless = [
+            label
+            for label, column, unit in units
+            if column.value and column.value not in self._with_unit and unit.value == IN_HEADER
+        ]
+        if unitless:
+            return f"the header states no unit: choose {', '.join(dict.fromkeys(unitless))}"
         owners: dict[str, list[str]] = {}
         for name, column in asked.items():
             owners.setdefault(column.value, []).append(name)

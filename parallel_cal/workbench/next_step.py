@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from parallel_cal.reporting.names import title_of
 from parallel_cal.workbench.bench import Bench
+
+USUAL_POSES = 20  # of a plan
 
 
 @dataclass(frozen=True)
@@ -18,10 +21,20 @@ class NextStep:
     begin: Callable[[], object]
 
 
-def find_next_step(bench: Bench, import_table: Callable[[], object]) -> NextStep | None:
-    """Find the step that follows from the state: Import, Fit, Add, Find its law or Save.
+@dataclass(frozen=True)
+class WaysOn:
+    """What a click on the page opens: the dialog that imports a table, the poses to measure."""
 
-    None while the present model is not judged yet, and if it is the one in use.
+    import_table: Callable[[], object]
+    show_poses: Callable[[], object]
+
+
+def find_next_step(bench: Bench, ways: WaysOn) -> NextStep | None:
+    """Find the step that follows from the state: Import, Fit, Add, Find its law, Plan poses, Save,
+    or poses to measure.
+
+    None while the present model is not judged yet, and if it is the one in use and nothing is left
+    to decide.
     """
     view, state = bench.view, bench.session.state
     if view is None:
@@ -29,14 +42,27 @@ def find_next_step(bench: Bench, import_table: Callable[[], object]) -> NextStep
     if not bench.has_samples:
         if bench.live is not None:
             return NextStep("Take samples", bench.take)
-        return NextStep("Import a table", import_table)
+        return NextStep("Import a table", ways.import_table)
     if not state.errors:
         return NextStep("Fit", partial(bench.begin, "fit"))
     if (answers := view.get("answers")) is None:
         return None
+    if view["needs_poses"]:
+        if bench.planned is None:
+            return NextStep(f"Plan {USUAL_POSES} poses", partial(bench.begin, "plan", USUAL_POSES))
+        return NextStep("See the planned poses", ways.show_poses)
     if offered := view["offered"]:
         names = " and ".join(map(title_of, offered["effects"]))
         return NextStep(f"Add {names}", partial(bench.begin, "add", offered["text"]))
     if view["find_law"] and answers["is_left"] == "yes" and bench.law_view is None:
         return NextStep("Find its law", bench.find_law)
-    return None if bench.is_saved else NextStep("Save", bench.save)
+    if not bench.is_saved:
+        return NextStep("Save", bench.save)
+    words = offer_deciding_poses(view)
+    return NextStep(words, ways.show_poses) if words else None
+
+
+def offer_deciding_poses(view: Mapping[str, Any]) -> str:
+    """Name the planned poses that separate effects which explain the samples equally well."""
+    count = view.get("deciding_poses", 0)
+    return f"See {count} poses that help to decide" if count else ""

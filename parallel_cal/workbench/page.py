@@ -31,7 +31,8 @@ from parallel_cal.workbench.import_dialog import ImportDialog
 from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
-from parallel_cal.workbench.plan_card import draw_plan_card
+from parallel_cal.workbench.next_step import WaysOn
+from parallel_cal.workbench.plan_card import draw_plan_card, show_plan_card
 from parallel_cal.workbench.residuals_card import ResidualsCard
 from parallel_cal.workbench.widgets import (
     BLOCKS,
@@ -89,8 +90,9 @@ class Window:
             )
             with ui.element().classes("first"):
                 self.machine = MachineCard()
-                self.verdict = VerdictCard(bench, self._import)
-                self.welcome = WelcomeCard(bench, self._import)
+                ways = WaysOn(self._import, show_plan_card)
+                self.verdict = VerdictCard(bench, ways)
+                self.welcome = WelcomeCard(bench, ways)
                 self.strip = Strip(partial(bench.begin, "exclude"))
             with ui.element().classes("columns") as self.work:
                 with ui.column().classes("w-full gap-3"):

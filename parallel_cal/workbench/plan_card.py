@@ -16,6 +16,7 @@ from parallel_cal.reporting.colours import PATTERN, QUIET
 from parallel_cal.reporting.names import name_effects
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench, Live
+from parallel_cal.workbench.next_step import USUAL_POSES
 from parallel_cal.workbench.widgets import card, draw_figure
 
 PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
@@ -56,7 +57,7 @@ class PlannedPoses:
 
 def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
     """Draw the card of a complete view."""
-    with card("What to measure next"):
+    with card("What to measure next").props("id=plan tabindex=-1"):
         for advice in view["advice"]:
             ui.label(name_effects(write_micro(advice)))
         if separation := view["separation"]:
@@ -65,7 +66,7 @@ def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
         file = bench.planned
         planned = PlannedPoses.parse(read_text(file)) if file else None
         with ui.row().classes("items-center"):
-            usual = len(planned.rows) if planned else 20
+            usual = len(planned.rows) if planned else USUAL_POSES
             count = ui.number("poses", value=usual, min=1, max=500, precision=0).classes("w-24")
             plan = ui.button(
                 "Plan", on_click=lambda: bench.begin("plan", int(count.value or usual))
@@ -74,6 +75,11 @@ def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
             ui.label("poses that determine the free parameters of this step").classes("quiet")
         if file and planned:
             _draw_poses(bench, view, planned, file.name, PLANNED)
+
+
+def show_plan_card() -> None:
+    """Bring the card into view, and the keyboard to it."""
+    ui.run_javascript("plan.scrollIntoView(); plan.focus({preventScroll: true})")
 
 
 def _draw_poses(

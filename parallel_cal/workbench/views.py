@@ -16,7 +16,7 @@ from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.signature import Signature, signature
-from parallel_cal.diagnosis.thresholds import LEVELS
+from parallel_cal.diagnosis.thresholds import LEVELS, MIN_DOF
 from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, summarise_parameters
 from parallel_cal.identification.fit_warnings import chi2_band
@@ -115,7 +115,7 @@ def _mark_preliminary(made: View, part: str) -> View:
     """Say in the verdict that a view is preliminary; nothing is offered before it is final."""
     verdict = made["verdict"]
     words = f"preliminary, from {part}: {verdict['words']}"
-    return made | {"verdict": verdict | {"words": words}}
+    return made | {"verdict": verdict | {"words": words, "is_preliminary": True}}
 
 
 def _describe_part(count: int, session: Session) -> str:
@@ -306,6 +306,7 @@ def _make_report_view(found: Report) -> View:
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     residuals, shown = _select_shown(found.residuals, found.samples)
     separation = diagnosis.measure_next.plan
+    testing_dof = diagnosis.noise.count_testing_dof(diagnosis.best.fitted.estimate.dof)
     return {
         "shown": shown,
         "verdict": _verdict(found),
@@ -347,6 +348,8 @@ def _make_report_view(found: Report) -> View:
         "parameters": as_rows(results.parameter_table(identified)),
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
         "separation": separation.csv(diagnosis.model) if separation else None,
+        "deciding_poses": len(separation.poses) if separation else 0,
+        "needs_poses": testing_dof < MIN_DOF,
         "advice": [
             words
             for words in diagnosis.measure_next.advice
@@ -397,8 +400,8 @@ def _verdict(found: Report) -> View:
     return {
         "word": said.word,
         "label": said.label,
-        "words": name_effects(sentence(said.summary)),
-        "remarks": [name_effects(sentence(words)) for words in said.remarks],
+        "words": sentence(name_effects(said.summary)),
+        "remarks": [sentence(name_effects(words)) for words in said.remarks],
     }
 
 

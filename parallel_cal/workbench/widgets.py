@@ -32,7 +32,6 @@ FIGURE_LAYOUT = {
 # Width [px] from which the page has two columns, and width up to which the header omits numbers
 # and figures stand one below the other.
 TWO_COLUMNS_PX, NARROW_PX = 1600, 767
-CHIP_ONLY_PX = 1023  # width up to which the header shows the chip without its sentence
 STACKED_PX = 839  # width up to which the verdict is below the machine
 # The utility classes that the page uses, with Tailwind's names and values. Tailwind itself rewrites
 # its style sheet whenever an element appears, and the browser then computes all styles again.
@@ -124,7 +123,6 @@ CSS = f"""
   .columns.paired > .right, .columns.paired > .rest > :nth-child(even) {{ float: right;
     clear: right }} }}
 @media (max-width: {TWO_COLUMNS_PX - 1}px) {{ .headline-about {{ display: none }} }}
-@media (max-width: {CHIP_ONLY_PX}px) {{ .chip:not(.hidden) + .sentence {{ display: none }} }}
 @media (max-width: {NARROW_PX}px) {{
   .headline {{ display: none }}
   .side-by-side {{ flex-wrap: wrap }} }}
@@ -152,6 +150,8 @@ CSS = f"""
   background: inherit }}
 .skip-link:focus {{ left: 16px }}
 :is(a, button, input, [tabindex]):focus-visible {{ box-shadow: 0 0 0 3px #3b7dd8 !important }}
+#plan {{ scroll-margin-top: calc(var(--header-height, 40px) + 12px) }}
+#plan:focus {{ outline: none; box-shadow: none !important }}
 #content {{ max-width: 2200px }}
 #content:focus {{ outline: none; box-shadow: none !important }}
 .q-header.at-robot {{ z-index: 7000 }}
@@ -177,6 +177,7 @@ HEAD = """<script>document.documentElement.lang = "en"</script>
 <script type="module">import("nicegui-plotly").catch(() => undefined)</script>"""
 CHECKBOX = '<q-checkbox dense v-model="props.selected" :aria-label="{words}" />'
 MAX_SHORT_CELL = 18  # letters of a cell that is not broken into lines
+HEADING = "role=heading aria-level=2"
 FIGURE_MARGIN = {"t": 28, "r": 12, "l": 52, "b": 44}  # the toolbar fits into the top one
 
 
@@ -184,7 +185,7 @@ def card(title: str) -> Any:
     """Make a region of the page with its heading."""
     made = ui.card().classes("w-full gap-2").props(f'role=region aria-label="{title}"')
     with made:
-        ui.label(title).classes("text-base font-bold").props("role=heading aria-level=2")
+        ui.label(title).classes("text-base font-bold").props(HEADING)
     return made
 
 
@@ -198,8 +199,9 @@ class Chip:
         self._place.clear()
         self._place.set_visibility("word" in verdict)
         if "word" in verdict:
+            words = "preliminary: " if verdict.get("is_preliminary") else ""
             with self._place:
-                said = Judgement(verdict["word"], verdict["label"], verdict["words"])
+                said = Judgement(verdict["word"], words + verdict["label"], verdict["words"])
                 ui.html(chip(said), sanitize=False)
 
 

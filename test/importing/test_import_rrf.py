@@ -296,9 +296,22 @@ def test_arms_that_reach_nothing_are_named(files, old, new, message):
         configured(files(ROTARY.replace(old, new))[1:])
 
 
+@pytest.mark.parametrize("head", ["X,Y,Z", "# a probe\nx [mm];y [mm];z [mm]"])
+def test_a_table_of_touches_is_read_as_a_height_map_of_the_same_touches(files, head):
+    of_map = samples("rrf", files())
+    rows = ["-40,-30,0.1", "0,-30,-0.05", "-40,30,0", "0,30,0.2"]
+    rows = [row.replace(",", ";") if ";" in head else row for row in rows]
+    of_table = samples("rrf", files(heights="\n".join([head, *rows]) + "\n"))
+    np.testing.assert_allclose(of_table.q, of_map.q, atol=1e-12)
+    heights = [data.conditions["reading.probe"] for data in (of_table, of_map)]
+    np.testing.assert_allclose(*heights, atol=1e-12)
+
+
 BROKEN = {
     "head": (LINEAR, MAP.replace("file v2", "file v1"), "heightmap.csv:1: the first line"),
-    "no map": (LINEAR, "x,y,z\n1,2,3\n", "heightmap.csv:1: the first line is 'x,y,z'"),
+    "no map": (LINEAR, "x,y,u\n1,2,3\n", "heightmap.csv:1: the first line is 'x,y,u'"),
+    "no height": (LINEAR, "x,y,z\n1,2,300\n", "heightmap.csv:2: z is '300 mm', expected the heig"),
+    "no length": (LINEAR, "x,y,z [deg]\n1,2,3\n", "column z [deg] is no length; expected m, cm"),
     "empty": (LINEAR, "", "heightmap.csv:1: the first line is ''"),
     "cut off": (LINEAR, MAP[:150], "heightmap.csv:3: the file's end"),
     "names": (LINEAR, MAP.replace("spacing0", "step"), "heightmap.csv:2: the names line"),

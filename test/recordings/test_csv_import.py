@@ -13,9 +13,9 @@ from parallel_cal.cli import main as cli
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.model.file.modelfile import dump_model, read_model
 from parallel_cal.model.model import new_model
-from parallel_cal.recordings.columns import map_by_names
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.header_names import map_by_names
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import load_dataset, load_sessions
 from parallel_cal.recordings.table import read_table
@@ -252,6 +252,64 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
 def test_a_bad_map_is_named_by_file_line_and_key(files, change, words):
     with pytest.raises(ParallelCalError, match=words):
         import_csv(*files(columns=MAP.replace(*change)))
+
+
+MOCAP = "timestamp,L1,L2,px,py,pz,QX,QY,QZ,QW"
+ROWS = ("1764200005.5,-12.5,3,115,969,1443,0,0,0,1", "1764200010,14,-7,73,973,1435,0,0,1,0")
+
+
+def write_mocap(folder, header=MOCAP):
+    path = folder / "mocap.csv"
+    path.write_text("\n".join([header, *ROWS]) + "\n")
+    return path
+
+
+def test_a_header_without_units_is_answered_with_a_map_that_reads_the_table(tmp_path):
+    path = write_mocap(tmp_path)
+    with pytest.raises(DatasetError) as error:
+        load_dataset(path, joints=("leg1", "leg2"))
+    words = str(error.value)
+    assert words.startswith(f"{path}:1: columns L1, L2, px, py, pz have no unit. Write it into the")
+    (tmp_path / "mocap.columns.yaml").write_text(words[words.index("{joints") :])
+    data = load_dataset(path, joints=("leg1", "leg2"))
+    # Angles beyond a turn of rad, and lengths beyond 5 m, are usually in deg and mm.
+    np.testing.assert_allclose(data.q[0], np.radians([-12.5, 3]))
+    np.testing.assert_allclose(data.r[0], [0.115, 0.969, 1.443])
+    assert data.measured.all()
+    assert data.time[1] - data.time[0] == pytest.approx(4.5)
+
+
+@pytest.mark.parametrize(
+    "words", [("X", "Y", "Z"), ("tx", "ty", "tz"), ("Pos_X", "pos_y", "pos_z")]
+)
+def test_positions_are_found_by_their_usual_names(tmp_path, words):
+    header = ",".join(["j1 [rad]", *(f"{word} [mm]" for word in words)])
+    table = write(tmp_path, f"{header}\n0.1,1,2,3\n")
+    assert map_by_names(table, ["j1"], tmp_path / "m.yaml").position.names == [*words]
+
+
+def test_coordinates_under_names_of_several_kinds_are_no_position(tmp_path):
+    table = write(tmp_path, "j1 [rad],x [mm],py [mm],tz [mm]\n0.1,1,2,3\n")
+    with pytest.raises(DatasetError, match="no columns x, y, z"):
+        map_by_names(table, ["j1"], tmp_path / "m.yaml")
+
+
+def test_a_joint_is_no_position_and_a_date_is_no_time(tmp_path):
+    table = write(tmp_path, "x [mm],X [mm],Y [mm],Z [mm],timestamp\n1,2,3,4,2026-11-29\n")
+    found = map_by_names(table, ["x"], tmp_path / "m.yaml")
+    assert found.position.names == ["X", "Y", "Z"]
+    assert not found.conditions
+
+
+def test_a_table_of_touches_names_the_command_that_knows_the_joints(tmp_path):
+    table = write(tmp_path, "X,Y,Z\n10,20,0.1\n")
+    with pytest.raises(DatasetError, match=r"import rrf .*t.csv config.g -o touches.json"):
+        map_by_names(table, ["joint1", "joint2"], tmp_path / "m.yaml")
+
+
+def write(folder, text):
+    (folder / "t.csv").write_text(text)
+    return read_table(folder / "t.csv")
 
 
 HEADED = "arm [deg],x [mm],y [mm],z [mm],temperature [K],payload (g),time_ms,direction.arm\n"

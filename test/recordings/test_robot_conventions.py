@@ -84,6 +84,13 @@ def test_what_a_column_map_states_counts_before_the_convention(tmp_path):
     assert own.q[0, 0] == pytest.approx(np.radians(30))
 
 
+def test_a_table_of_a_tracker_has_positions_only(tmp_path):
+    header = HEADERS["kuka"][0].replace("A,B,C", "day,shift,by")
+    data = import_csv(table(tmp_path, "kuka", header), robot="kuka")
+    assert data.measured[0].tolist() == [True] * 3 + [False] * 3
+    np.testing.assert_allclose(data.r[0], [0.1, 0.2, 0.3])
+
+
 def test_angles_of_other_columns_have_the_axes_of_the_maker(tmp_path):
     header = HEADERS["kuka"][0].replace("A,B,C", "a,b,c")
     text = "robot: kuka\nangles: {columns: [a, b, c]}\n"

@@ -1,5 +1,6 @@
 """The first screen of the page: the machine, the answers, one next step, and words for people."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,7 +22,7 @@ from parallel_cal.reporting.machine import (
 from parallel_cal.reporting.names import TITLES, name_effects, name_step, title_of
 from parallel_cal.reporting.summary import describe_left
 from parallel_cal.session.session import Session
-from parallel_cal.workbench.next_step import find_next_step
+from parallel_cal.workbench.next_step import WaysOn, find_next_step
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
 HEXAPOD = "config/stewart_general.yaml"
@@ -60,24 +61,39 @@ def draw(sizes, model=HEXAPOD, erring=()):
     return draw_machine(read_model(model), places, stages, np.arange(30), erring)
 
 
-def longest(stage):
-    at = stage["traces"][0]
+def longest(stage, magnification=0):
+    at = stage["traces"][magnification][0]
     starts, ends = (np.array([at[a][k::3] for a in "xyz"], float) for k in (0, 1))
     return np.linalg.norm(ends - starts, axis=0).max()
 
 
 def test_arrows_shrink_along_the_slider_on_one_scale_and_one_ramp():
-    drawn = draw([128e-6, 48e-6, 26e-6])["stages"]
-    assert len({stage["scale"] for stage in drawn}) == 1
-    lengths = [longest(stage) for stage in drawn]
-    assert np.divide(lengths, lengths[0]) == pytest.approx([1, 48 / 128, 26 / 128], rel=1e-3)
-    colours = [set(stage["traces"][0]["line"]["color"]) for stage in drawn]
+    drawn = draw([600e-6, 48e-6, 26e-6])
+    stages, (usual, enlarged) = drawn["stages"], drawn["scales"]
+    assert usual == draw([600e-6])["scales"][0]  # it shows the first stage
+    for k, scale in enumerate((usual, enlarged)):
+        lengths = [longest(stage, k) for stage in stages]
+        assert np.divide(lengths, lengths[0]) == pytest.approx([1, 48 / 600, 26 / 600], rel=1e-3)
+        assert lengths[0] / longest(stages[0]) == pytest.approx(scale / usual, rel=1e-3)
+    colours = [set(stage["traces"][0][0]["line"]["color"]) for stage in stages]
     assert len(colours[0] & colours[2]) < 10  # large errors have other colours than small ones
 
 
-def test_a_first_stage_whose_arrows_would_be_too_long_has_a_scale_of_its_own_and_states_it():
-    first, second, third = draw([600e-6, 37e-6, 32e-6])["stages"]
-    assert first["scale"] < second["scale"] == third["scale"]
+def test_enlarged_arrows_of_the_last_stage_are_inside_the_axes_and_longer_ones_have_no_head():
+    drawn = draw([600e-6, 37e-6, 32e-6])
+    first, _, last = drawn["stages"]
+    for axis in "xyz":
+        low, high = drawn["layout"]["scene"][f"{axis}axis"]["range"]
+        for trace in (*first["traces"][0], *last["traces"][1]):
+            values = [v for v in trace[axis] if v is not None]
+            assert low < min(values) <= max(values) < high
+    kinds = [[trace["type"] for trace in stage["traces"][1]] for stage in (first, last)]
+    assert kinds == [["scatter3d"] * 2, ["scatter3d", "mesh3d", "scatter3d"]]
+
+
+def test_without_errors_that_became_small_there_is_nothing_to_enlarge():
+    assert len(draw([128e-6, 120e-6])["scales"]) == 1
+    assert draw([])["scales"] == []
 
 
 def test_a_sample_that_was_not_judged_has_no_arrow():
@@ -85,7 +101,7 @@ def test_a_sample_that_was_not_judged_has_no_arrow():
     errors = field(1e-4)
     errors[7] = np.nan
     drawn = draw_machine(model, places, [Stage("now", errors)], np.arange(100, 130))
-    words = drawn["stages"][0]["traces"][2]["text"]
+    words = drawn["stages"][0]["traces"][0][2]["text"]
     assert len(words) == 29
     assert not any(text.startswith("107:") for text in words)
 
@@ -119,7 +135,7 @@ def test_arrows_point_the_same_way_wherever_the_device_stands():
     moved = replace(data, r=(data.r - shift) @ turn, R=turn.T @ data.R, frame="tracker")
     here, there = (_make_comparison_view(compare(model, one))["machine"] for one in (data, moved))
     for axis in "xyz":
-        shafts = (drawn["stages"][0]["traces"][0][axis] for drawn in (here, there))
+        shafts = (drawn["stages"][0]["traces"][0][0][axis] for drawn in (here, there))
         np.testing.assert_allclose(*(np.array(one, float) for one in shafts), atol=1e-3)
     [device] = [trace for trace in there["robot"] if trace.get("name") == "device"]
     assert device["text"] == ["device, 1.1 m away"]  # 0.5, -1 and 0.4 m, from the robot's middle
@@ -174,8 +190,8 @@ class FakeBench:
 
     live = law_view = None
 
-    def __init__(self, view, state=None, is_saved=False):
-        self.is_saved = is_saved
+    def __init__(self, view, state=None, is_saved=False, planned=None):
+        self.is_saved, self.planned = is_saved, planned
         self.view, self.session = view, type("S", (), {"state": state or State()})
         self.has_samples = view is not None and "verdict" in view
 
@@ -189,8 +205,13 @@ class FakeBench:
         return ("find_law",)
 
 
-def judged(offered=None, left="no", find_law=False):
+WAYS = WaysOn(lambda: ("import",), lambda: ("show poses",))
+
+
+def judged(offered=None, left="no", find_law=False, needs_poses=False, deciding_poses=0):
     return {
+        "needs_poses": needs_poses,
+        "deciding_poses": deciding_poses,
         "verdict": {},
         "answers": {"is_left": left},
         "offered": offered,
@@ -214,12 +235,27 @@ OFFERED = {"effects": ["encoder_gain", "backlash"], "text": "encoder_gain+backla
         ),
         (judged(left="yes", find_law=True), State(), "Find its law", ("find_law",)),
         (judged(), State(), "Save", ("save",)),
+        (judged(deciding_poses=12), State(), "Save", ("save",)),
+        (judged(OFFERED, "unknown", needs_poses=True), State(), "Plan 20 poses", ("plan", 20)),
     ],
 )
 def test_the_next_step_follows_the_state(view, state, words, step):
-    found = find_next_step(FakeBench(view, state), lambda: ("import",))
+    found = find_next_step(FakeBench(view, state), WAYS)
     assert found.words == words
     assert found.begin() == step
+
+
+@pytest.mark.parametrize(
+    ("bench", "words"),
+    [
+        (FakeBench(judged(needs_poses=True), planned="1.csv"), "See the planned poses"),
+        (FakeBench(judged(deciding_poses=12), is_saved=True), "See 12 poses that help to decide"),
+    ],
+)
+def test_poses_that_are_planned_are_the_next_step_where_more_must_be_measured(bench, words):
+    found = find_next_step(bench, WAYS)
+    assert found.words == words
+    assert found.begin() == ("show poses",)
 
 
 @pytest.mark.parametrize(
@@ -231,10 +267,21 @@ def test_the_next_step_follows_the_state(view, state, words, step):
     ],
 )
 def test_there_is_no_next_step_while_nothing_is_judged_and_after_a_save(view, is_saved):
-    assert find_next_step(FakeBench(view, is_saved=is_saved), None) is None
+    assert find_next_step(FakeBench(view, is_saved=is_saved), WAYS) is None
 
 
 # ------------------------------------------------------------------ in the views
+
+
+def test_a_sentence_that_begins_with_an_effect_has_its_name_for_people():
+    from parallel_cal.diagnosis.verdict import Verdict
+    from parallel_cal.workbench.views import _verdict
+
+    verdict = Verdict("explained", "own_weight_sag accounts for it", remarks=("encoder_gain fits",))
+    diagnosis = SimpleNamespace(verdict=verdict, model=SimpleNamespace(effects=()))
+    said = _verdict(SimpleNamespace(diagnosis=diagnosis))
+    assert said["words"] == "Sag by its own weight accounts for it."
+    assert said["remarks"] == ["Gain of the drives fits."]
 
 
 @pytest.mark.wide
@@ -254,9 +301,9 @@ def test_all_that_is_shown_has_one_frame_one_set_of_samples_and_one_noise(tmp_pa
     ]
     for stage, tile in zip(view["machine"]["stages"], list(tiles.values())[:3], strict=True):
         # The arrows are the errors of the tile: rms of their lengths over the magnification.
-        at = stage["traces"][0]
+        at = stage["traces"][0][0]
         starts, ends = (np.array([at[a][k::3] for a in "xyz"], float) for k in (0, 1))
-        lengths = np.linalg.norm(ends - starts, axis=0) / stage["scale"] * 1e3  # µm
+        lengths = np.linalg.norm(ends - starts, axis=0) / view["machine"]["scales"][0] * 1e3  # µm
         rms = np.sqrt(np.mean(lengths**2))
         assert rms == pytest.approx(float(tile.split(" ")[0]), rel=0.02)
     assert view["answers"]["missing"].startswith("Backlash: 7")
@@ -283,10 +330,13 @@ def test_a_stranger_is_led_from_an_empty_page_to_a_saved_model(tmp_path):
 
             said = page.locator("#machine-words")
             said.get_by_text("in the frame of the base, fitted: ").wait_for()
-            assert "magnified" in said.inner_text()
+            times = re.search(r"every step magnified \d+ times", said.inner_text())[0]
             slider = page.get_by_role("slider", name="errors of which model")
             slider.locator("[tabindex]").press("ArrowRight")
             said.get_by_text("+ backlash: ").wait_for()
+            assert times in said.inner_text()
+            page.get_by_role("checkbox", name="enlarge").click()
+            page.wait_for_function(f"!document.body.innerText.includes('{times}')")
 
             page.locator(".machine canvas").first.hover()
             page.mouse.wheel(0, 200)
@@ -300,7 +350,9 @@ def test_a_stranger_is_led_from_an_empty_page_to_a_saved_model(tmp_path):
             page.get_by_role("button", name="next step: Save").click()
             page.locator("#message").get_by_text("written").wait_for()
             page.locator("#saved").get_by_text("saved in robot.yaml").wait_for()
-            page.locator("#next").wait_for(state="hidden")
+            page.get_by_role("button", name=re.compile("next step: See .* to decide")).click()
+            page.wait_for_function("document.activeElement.id === 'plan'")
+            assert page.locator("#plan").bounding_box()["y"] < 100  # below the header
             assert read_model(tmp_path / "robot.yaml").effects
 
             served.end()

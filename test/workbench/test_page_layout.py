@@ -9,6 +9,7 @@ from datasets import measured
 from workbench_page import LONG, Served, beside_a_played_robot, opened
 
 from parallel_cal.diagnosis.patterns import compute_mean_profile
+from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.reporting.axes import log_axis
@@ -406,6 +407,13 @@ def test_the_first_screen_is_the_machine_the_verdict_and_one_step(page, size):
         )
     )
     assert filled == ["Add backlash"]
+    # The header has the word of the verdict, the card its sentences.
+    places = page.locator("header"), page.get_by_role("region", name="Verdict", exact=True)
+    word, sentence = (
+        [place.get_by_text(words).count() for place in places]
+        for words in (VERDICT_LABELS["explained"], "accounts for 100 %")
+    )
+    assert (word, sentence) == ([1, 0], [0, 1])
     assert max(one["y"] + one["height"] for one in (machine, verdict)) <= errors["y"]
     assert errors["y"] + errors["height"] <= missing["y"]
     if width < 1600:
@@ -621,7 +629,9 @@ def test_compare_shows_how_far_the_predictions_of_the_branches_differ(page):
 def test_the_numbers_of_a_step_are_painted_before_its_figures_are_drawn(page):
     page.set_viewport_size({"width": 1280, "height": 3000})  # nothing is out of sight
     page.get_by_role("button", name="Undo", exact=True).click()
-    page.locator("#verdict").get_by_text("compared with the measurements").wait_for()
+    page.locator("#verdict-words").get_by_text("compared with the measurements").wait_for()
+    page.locator("#verdict").get_by_text("not judged yet").wait_for()
+    assert page.get_by_role("heading", name="Verdict").count() == 0
     page.get_by_role("figure", name="rms residual").locator(".point").first.wait_for()
     page.evaluate("""() => {
       const told = window.told = [], watch = (place, act) => new MutationObserver(act).observe(

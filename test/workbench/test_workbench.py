@@ -324,7 +324,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page.get_by_text("Where it fails").wait_for()
 
         page.get_by_role("button", name="Fit", exact=True).click()
-        page.locator("#verdict").get_by_text("backlash or hysteresis").wait_for()
+        page.locator("#verdict-words").get_by_text("backlash or hysteresis").wait_for()
         fitted = page.locator("header").inner_text()
         assert "606 ± 11 µm" in fitted
         page.get_by_role("cell", name="606 ± 11 µm").wait_for()  # before the fit, in the history
@@ -350,8 +350,8 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         other.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
 
         page.get_by_role("button", name="add backlash", exact=True).click()
-        page.locator("#verdict").get_by_text("down to the noise").wait_for()
-        other.locator("#verdict").get_by_text("down to the noise").wait_for()
+        page.locator("#verdict-words").get_by_text("down to the noise").wait_for()
+        other.locator("#verdict-words").get_by_text("down to the noise").wait_for()
         assert page.locator("header").inner_text() != fitted
         assert "backlash" in page.locator("#budget").inner_text()
         page.locator("#budget").hover()
@@ -429,7 +429,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("backlash or hysteresis").wait_for()
+        page.locator("#verdict-words").get_by_text("backlash or hysteresis").wait_for()
         assert "AP" in page.locator("#iso").inner_text()
         counts = page.locator("#counts").inner_text()
         assert "rms at 94 samples of 74 held-out poses" in counts
@@ -736,7 +736,7 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("backlash or hysteresis").wait_for()
+        page.locator("#verdict-words").get_by_text("backlash or hysteresis").wait_for()
         page.get_by_role("button", name="Save", exact=True).click()
         page.locator("#question").get_by_text("this model is worse by a factor of").wait_for()
         rows = page.locator("#compared tbody tr")
@@ -772,7 +772,7 @@ def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browse
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("backlash or hysteresis").wait_for()
+        page.locator("#verdict-words").get_by_text("backlash or hysteresis").wait_for()
         page.get_by_text("tested effects less probable").click()
         page.get_by_role("button", name="add gain of the drives").click()
         page.locator("#question").get_by_text("Add gain of the drives anyway?").wait_for()
@@ -843,11 +843,12 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
         press_import()
         answer = page.locator("#import-answer")
         answer.get_by_text("choose a column for joint1, joint2, joint3").wait_for()
+        assert "parallel-cal import rrf" in answer.inner_text()  # if they are touches of a bed
         for k, arm in enumerate("ABC"):
             choose(f"column of joint{k + 1}", f"arm {arm} [deg]")
         press_import()  # x, y and z were found by their names, but have no unit
         answer.get_by_text("unit").wait_for()
-        assert "tracker.csv" in answer.inner_text()
+        assert answer.inner_text() == "the header states no unit: choose unit of x, y, z"
         assert Session(folder).state.step == "begin"
         choose("unit of x, y, z", "mm")
         press_import()

@@ -27,11 +27,10 @@ from parallel_cal.recordings.columns import (
     ColumnMap,
     JointColumn,
     PositionColumns,
-    find_conditions,
-    find_readings,
     read_column_map,
 )
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.header_names import find_conditions, find_readings
 from parallel_cal.recordings.joining import fingerprint
 from parallel_cal.recordings.recording import Array, Dropped
 from parallel_cal.recordings.samples import READING

@@ -25,7 +25,11 @@ from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import STEPS_FIELDS, read_scale, settings
 from parallel_cal.importing.hangprinter import Hangprinter
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
-from parallel_cal.importing.touch_samples import make_printed_ends, make_touch_samples
+from parallel_cal.importing.touch_samples import (
+    make_printed_ends,
+    make_touch_samples,
+    read_touch_table,
+)
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -127,11 +131,15 @@ def tip(stated: Settings) -> Array:
 
 
 def read_map(path: Path) -> tuple[Array, list[SourceLine], list[Dropped]]:
-    """Read points (N, 3) in m of a height map, the line of each, and cells without a touch."""
+    """Read points (N, 3) in m of a height map or of a table with columns x, y and z, the line of
+    each, and cells without a touch."""
     rows = read_lines(path)
     if not rows or not rows[0][1].startswith(HEAD):
+        if rows and (found := read_touch_table(path, MAX_HEIGHT_MM)):
+            return *found, []
         first = rows[0][1][:40] if rows else ""
-        raise SourceLine(path, 1).error("the first line", first, f"'{HEAD} ...'")
+        expected = f"'{HEAD} ...', or a table with the columns x, y and z of touches in mm"
+        raise SourceLine(path, 1).error("the first line", first, expected)
     if len(rows) < 3:
         raise SourceLine(path, len(rows) + 1).error(
             "the file's end", "", f"'{LABELS[0]}' and a grid"

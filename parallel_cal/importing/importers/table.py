@@ -26,10 +26,9 @@ from parallel_cal.recordings.columns import (
     Join,
     JointColumn,
     PositionColumns,
-    find_conditions,
-    find_quaternion,
 )
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.header_names import find_conditions, find_quaternion
 from parallel_cal.recordings.table import Table, read_table, split_unit
 from parallel_cal.recordings.table_samples import make_dataset
 
