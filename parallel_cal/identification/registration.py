@@ -54,6 +54,7 @@ FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
 STATION_EFFECT = "parallel_cal.identification.stations"
 TARGET_EFFECT = "target_offset"  # an effect that states where the target sits
 UNKNOWN_FRAME_TOLERANCES = 1e3  # sigma of a frame's parameter of which nothing is known
+LARGEST_EFFECT = 30.0  # of its usual sizes
 TOLERANCE_SAMPLE_SIZE = 24  # poses for the median error that tolerances explain
 
 Array = np.ndarray
@@ -523,8 +524,14 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
 
 
 def _prior_without(model: Model, unknown: Array) -> Prior:
-    """The tolerances of all parameters, but no knowledge of those that are `unknown` (mask)."""
-    sigma = np.where(unknown, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
+    """The tolerances of all parameters, but no knowledge of those that are `unknown` (mask).
+
+    Effects may be as large as the largest that a diagnosis weighs. If they were held to their usual
+    sizes, frames would stand where they imitate the rest of a large one.
+    """
+    effects = np.array([p.group == "effect" for p in model.table])
+    sizes = np.where(effects, LARGEST_EFFECT, 1.0)
+    sigma = np.where(unknown, UNKNOWN_FRAME_TOLERANCES, sizes) * model.table.tolerance
     return Prior(model.table.nominal, np.diag(sigma**2))
 
 
