@@ -160,7 +160,7 @@ def judge_samples(
     missing = describe_missing_evidence(found)
     verdict, summary, suspected = found.verdict.word, found.verdict.text, found.suspected
     if first := found.explanation.first:
-        summary = f"no geometry fits the samples without {first}; with it: {summary}"
+        summary = f"no geometry fits the samples without {' and '.join(first)}; so: {summary}"
     laws = LawSearch("")
     if _needs_law(found, question, targets):
         laws = search_laws(

@@ -447,6 +447,15 @@ class _Setup:
         def search_from(smaller: Model) -> Search:
             return Search(smaller, refit, self.report, self.options.usual_only)
 
+        def settle(chosen: Sequence[Chosen]) -> Model:
+            larger = self.given.start
+            for one in chosen:
+                larger = larger.with_effect(one.name, one.settings)
+            placed, _ = prepared_for_fit(larger, self.registration, kept, self.any_size)
+            for one in chosen:
+                placed = placed.without_effect(one.name)
+            return placed
+
         def set_aside(knocked: Sequence[int]) -> list[int]:
             more = [one for one in knocked if one not in trusted]
             few = self.options.loss == "linear" and are_few([*aside, *more], self.dataset)
@@ -457,7 +466,8 @@ class _Setup:
             samples, known = self.recorded.excluding(aside, why), (base, result)
             return find_addition(self.asked, text, samples, as_add, knocked=(), known=known)
 
-        search = search_from(self.model)
+        settle_anew = settle if self.registration else None
+        search = Search(self.model, refit, self.report, self.options.usual_only, settle_anew)
         self.report("identifying the geometry", 0.0)
         if not aside and (odd := self._find_contradicting(search.fit(judged=False))):
             return self.diagnose_without(odd[0], seen=odd[1])
@@ -468,7 +478,9 @@ class _Setup:
             if innocent := find_innocent_samples(others.knocked, more):
                 return self.diagnose_without(aside, why, seen, trusted | innocent)
             return others
-        found = _diagnose_trusted(self, kept, search, search_from, explanation, find)
+        found = _diagnose_trusted(
+            self, kept, explanation.search, search_from, explanation, find
+        )
         if seen is None:
             return found
         best = found.best.fitted.model

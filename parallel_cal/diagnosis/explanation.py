@@ -42,6 +42,8 @@ class Explanation:
 
     Attributes
     ----------
+    search : Search
+        The refits, from where the device stands.
     posterior : Posterior
         All causes with their probabilities.
     described : Posterior
@@ -55,17 +57,18 @@ class Explanation:
     knocked : tuple of int
         Numbers of the samples that were disturbed alone. Where there are any, the explanation ends
         with the sums: without them it is another.
-    first : str
-        The effect without which only a geometry that no robot has describes the samples; the sums
-        are about the model with it. Empty if there is none.
+    first : tuple of str
+        The effects without which only a geometry that no robot has describes the samples; the sums
+        are about the model with them.
     """
 
+    search: Search = field(repr=False)
     posterior: Posterior = field(repr=False)
     described: Posterior = field(repr=False)
     best: Trial = field(repr=False)
     refuted: Mapping[str, str]
     wrong_signs: tuple[str, ...] = ()
-    first: str = ""
+    first: tuple[str, ...] = ()
     knocked: tuple[int, ...] = ()
 
     @classmethod
@@ -80,16 +83,18 @@ class Explanation:
         with those of them that `set_aside` returns."""
         base = search.fit()
         if base.fitted.implausible:
-            base = _find_first(search, base, names)
+            search, base = _find_first(search, base, names)
         first, names = base.chosen, [name for name in names if name not in base.names]
         refuted, wrong = dict[str, str](), list[str]()
-        causes, known = Causes.of(base.scene, names), list[frozenset[Chosen]]()
+        # What a first cause leaves may still be imitated by a geometry that no robot has.
+        scene = _scene_about(base, base, within_tolerances=True) if first else base.scene
+        causes, known = Causes.of(scene, names), list[frozenset[Chosen]]()
         posterior: Posterior | None = None
         while True:
             near = posterior.chosen if posterior else ()
             posterior, described, more = causes.explain(refuted, near)
             if knocked := tuple(set_aside(posterior.knocked)):
-                return cls(posterior, described, base, refuted, knocked=knocked)
+                return cls(search, posterior, described, base, refuted, knocked=knocked)
             chosen = (*first, *more)
             tried = search.fit_as_shown(*chosen, judged=False)
             if tried.result is None and more:
@@ -100,9 +105,9 @@ class Explanation:
             ended = not more or frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS
             if ended or causes.agree_with(tried, described, more):
                 best = search.fit_as_shown(*chosen)
-                return cls(posterior, described, best, refuted, tuple(wrong), "".join(base.names))
+                return cls(search, posterior, described, best, refuted, tuple(wrong), base.names)
             known.append(frozenset(chosen))
-            causes = Causes.of(_scene_about(base, tried), names)
+            causes = Causes.of(_scene_about(base, tried, bool(first)), names)
 
     @property
     def outdone(self) -> tuple[str, ...]:
@@ -174,7 +179,7 @@ class Explanation:
 
     def probability_of(self, name: str) -> float | None:
         """How probable it is that the robot has an effect; None if the sum is not about it."""
-        return 1.0 if name == self.first else self.posterior.probability.get(name)
+        return 1.0 if name in self.first else self.posterior.probability.get(name)
 
     @property
     def laws(self) -> dict[str, float]:
@@ -190,7 +195,7 @@ class Explanation:
         for name in names:
             effects = [name, *self.swaps.get(name, [])]
             each = {one: self.probability_of(one) or 0.0 for one in effects}
-            together = 1.0 if name == self.first else self.posterior.of_any(effects)
+            together = 1.0 if name in self.first else self.posterior.of_any(effects)
             found.append({"effects": effects, "probability": together, "each": each})
         return found
 
@@ -343,19 +348,22 @@ def _depends_on(posterior: Posterior, name: str, conditions: set[str]) -> bool:
     return posterior.kinds[name] == EFFECT and not conditions.isdisjoint(load_effect(name).needs)
 
 
-def _scene_about(base: Trial, best: Trial) -> Scene:
-    """The scene of the model without effects, with the geometry that was found with them."""
+def _scene_about(base: Trial, best: Trial, within_tolerances: bool) -> Scene:
+    """The scene of the model without further effects, with the geometry found with them."""
     fitted, result = base.fitted, best.fitted.model
     found = result.table.mapping(result.values)
     before = fitted.model.table.mapping(fitted.model.values)
     values = np.array([found.get(name, value) for name, value in before.items()])
     about = replace(fitted.model, values=values)
-    return Scene.of(about, fitted.dataset, fitted.observations, fitted.free, base.shared)
+    return Scene.of(
+        about, fitted.dataset, fitted.observations, fitted.free, base.shared, within_tolerances
+    )
 
 
-def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
-    """The fit with that likely cause with which a plausible geometry describes the samples best;
-    `base` if there is none.
+def _find_first(search: Search, base: Trial, names: Sequence[str]) -> tuple[Search, Trial]:
+    """The fit with that likely cause with which a plausible geometry describes the samples best, or
+    with all of them if none is enough alone, and the search from where the device stands with it;
+    those given if there is none.
 
     The sum is about the drawing, with the tolerances of the geometry: about a geometry that no
     robot has, other effects imitate what is missing.
@@ -369,9 +377,17 @@ def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
     for name, p in posterior.probability.items():
         if p > 1 - CREDIBLE and posterior.kinds[name] == EFFECT and name not in likely:
             likely[name] = Chosen.of(candidate(drawn, name))
-    trials = [search.fit_as_shown(one, judged=False) for one in likely.values()]
-    plausible = [one for one in trials if one.result is not None]
-    return min(plausible, key=lambda one: one.fitted.estimate.chi2, default=base)
+    sets = [(one,) for one in likely.values()]
+    for tried in (sets, [chosen] if len(chosen) > 1 else []):
+        searches = [search.settled_with(one) for one in tried]
+        trials = [
+            (at, at.fit_as_shown(*one, judged=False))
+            for at, one in zip(searches, tried, strict=True)
+        ]
+        plausible = [one for one in trials if one[1].result is not None]
+        if plausible:
+            return min(plausible, key=lambda one: one[1].fitted.estimate.chi2)
+    return search, base
 
 
 def _find_refuted(search: Search, first: tuple[Chosen, ...], more: tuple[Chosen, ...]) -> str:

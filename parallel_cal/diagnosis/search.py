@@ -3,7 +3,7 @@ poses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -30,6 +30,8 @@ from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene, SharedDerivatives
 
+# With effects beside the geometry, the model without them that a search begins with
+Settle = Callable[[Sequence["Chosen"]], Model]
 # Of a model; whether contradictions are accepted, and the fit near which a single step is enough.
 Refit = Callable[[Model, bool, FitResult | None], UnjudgedFit]
 
@@ -135,11 +137,21 @@ class Search:
         refit: Refit,
         progress: Progress,
         usual_only: bool = False,
+        settle: Settle | None = None,
     ):
         self._model, self._progress, self._refit = model, progress, refit
-        self._usual_only = usual_only
+        self._usual_only, self._settle = usual_only, settle
         self._shared = SharedDerivatives()
         self._known: dict[tuple[Collection[Chosen], bool, bool], Trial] = {}
+
+    def settled_with(self, chosen: Sequence[Chosen]) -> Search:
+        """The search from where a device and its target stand if the robot has these effects. The
+        lack of a large one moves them so far that no robot's geometry fits them."""
+        if self._settle is None:
+            return self
+        return Search(
+            self._settle(chosen), self._refit, self._progress, self._usual_only, self._settle
+        )
 
     def fit(
         self, *chosen: Chosen, insist: bool = False, judged: bool = True, once: bool = False
