@@ -73,7 +73,9 @@ class Confirmed:
             against[proven[-1].name] = objection
             left = [c for c in best.chosen if c is not proven[-1]]
             best = search.fit_as_shown(*left)
-            while best.result is None:  # the others alone imitate what was refused, and cannot stand
+            while (
+                best.result is None
+            ):  # the others alone imitate what was refused, and cannot stand
                 against[left[-1].name] = best.reason
                 left = left[:-1]
                 best = search.fit_as_shown(*left)

@@ -478,9 +478,7 @@ class _Setup:
             if innocent := find_innocent_samples(others.knocked, more):
                 return self.diagnose_without(aside, why, seen, trusted | innocent)
             return others
-        found = _diagnose_trusted(
-            self, kept, explanation.search, search_from, explanation, find
-        )
+        found = _diagnose_trusted(self, kept, explanation.search, search_from, explanation, find)
         if seen is None:
             return found
         best = found.best.fitted.model
