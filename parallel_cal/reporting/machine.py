@@ -104,6 +104,23 @@ def describe_erring_parts(parts: Sequence[ErringPart], joints: Sequence[str]) ->
     return " ".join(sentences)
 
 
+def _trace_robot(parts: Sequence[DrawnLine], glow: Sequence[DrawnLine]) -> list[Spec]:
+    """Traces of the parts of a robot by kind; those that err glow."""
+    robot = [
+        trace_lines(kind, plain)
+        for kind in dict.fromkeys(part.kind for part in parts)
+        if (
+            plain := [
+                part for part in parts if part.kind == kind and not any(part is one for one in glow)
+            ]
+        )
+    ]
+    if glow:
+        line = {"width": GLOW_WIDTH, "color": GLOW_COLOUR}
+        robot.append(trace_lines("driven", glow) | {"name": "errs", "line": line})
+    return robot
+
+
 def draw_machine(
     model: Model,
     places: np.ndarray = NO_PLACES,
@@ -158,19 +175,7 @@ def draw_machine(
     glowing = [
         (one, found) for one in erring if (found := _find_lines(parts, one.owner, model.joints))
     ]
-    glow = [part for _, found in glowing for part in found]
-    robot = [
-        trace_lines(kind, plain)
-        for kind in dict.fromkeys(part.kind for part in parts)
-        if (
-            plain := [
-                part for part in parts if part.kind == kind and not any(part is one for one in glow)
-            ]
-        )
-    ]
-    if glow:
-        line = {"width": GLOW_WIDTH, "color": GLOW_COLOUR}
-        robot.append(trace_lines("driven", glow) | {"name": "errs", "line": line})
+    robot = _trace_robot(parts, [part for _, found in glowing for part in found])
     bar = [ramp.bar("position")] if drawn else []
     return {
         "robot": [trace | {"showlegend": False} for trace in (*robot, *device, *bar)],

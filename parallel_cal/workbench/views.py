@@ -303,7 +303,6 @@ def _make_report_view(found: Report) -> View:
     tested = [entry for entry in diagnosis.entries if entry.candidate.testable]
     erring = find_erring_parts(diagnosis.effects, found.parameters)
     offered = diagnosis.addition or diagnosis.doubted
-    candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     residuals, shown = _select_shown(found.residuals, found.samples)
     separation = diagnosis.measure_next.plan
     testing_dof = diagnosis.noise.count_testing_dof(diagnosis.best.fitted.estimate.dof)
@@ -330,15 +329,7 @@ def _make_report_view(found: Report) -> View:
         "ambiguous": {one.effect: one.names for one in diagnosis.ambiguous},
         "knocked": {one.sample: one.size for one in diagnosis.knocked},
         "names": _names(diagnosis.dataset.names),
-        "candidates": [
-            row
-            | {
-                "found": entry.name in diagnosis.effects,
-                "probable": entry.probable,
-                "pattern": _pattern(entry, diagnosis.model),
-            }
-            for row, entry in zip(candidates, tested, strict=True)
-        ],
+        "candidates": _list_candidates(diagnosis, tested),
         "offered": offered
         and {"effects": [one.name for one in offered.effects], "text": offered.text},
         "with_effects": vars(found.errors.found) if found.errors.found else None,
@@ -358,6 +349,20 @@ def _make_report_view(found: Report) -> View:
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
         "find_law": diagnosis.leaves_an_error,
     }
+
+
+def _list_candidates(diagnosis: Diagnosis, tested: list[Entry]) -> list[dict[str, Any]]:
+    """The rows of the effects that were tested, with what the page shows of each besides."""
+    rows = as_rows(results.candidate_table(diagnosis, tested))["rows"]
+    return [
+        row
+        | {
+            "found": entry.name in diagnosis.effects,
+            "probable": entry.probable,
+            "pattern": _pattern(entry, diagnosis.model),
+        }
+        for row, entry in zip(rows, tested, strict=True)
+    ]
 
 
 def _find_first_pattern(diagnosis: Diagnosis) -> Signature | None:
