@@ -49,6 +49,7 @@ from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 
 SENSOR = "device_frame"
+TARGET_PLACE = tuple(f"device_frame.target.{axis}" for axis in "xyz")
 FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
 # Of the effect that describes a station for each of several recordings
 STATION_EFFECT = "parallel_cal.identification.stations"
@@ -142,8 +143,7 @@ def register_observed(
             f"; {there.now.describe_move(found)} from where the model has it; "
             f"{describe_what_moved(model, observations, there)}"
         )
-    told = there.tilts or not (there.turns and there.placed.any())
-    return placed, _registration(placed, frame or "device", why, told, there.held)
+    return placed, _registration(placed, frame or "device", why, there.tells_target, there.held)
 
 
 def _stays_displaced(placed: Model, observations: Observations, there: DevicePoses) -> bool:
@@ -226,15 +226,16 @@ def prepared_for_fit(
     if refixed and not _are_others_free(model, options):
         return model, None
     observations = observe(model, dataset, options.joint_sigma, options.insist)
+    told = registration is None or registration.told
     if refixed:
         if (there := DevicePoses.of(model, observations)) is None:
             return model, None
         own = np.array([there.is_free(name) for name in model.table.names])
-        model = replace(model, fixed=np.asarray(model.fixed) & ~own)
-    settled = _fit_frames(model, observations, options)
+        model, told = replace(model, fixed=np.asarray(model.fixed) & ~own), there.tells_target
+    settled = _fit_frames(model, observations, options, told)
     if registration is None:
         return settled, None
-    why, told, held = registration.why, registration.told, registration.held
+    why, held = registration.why, registration.held
     return settled, _registration(settled, registration.frame, why, told, held)
 
 
@@ -336,6 +337,11 @@ class DevicePoses(PosePairs):
             return self._hidden
         seen = np.any(self.measured[:, :3], axis=0)
         return tuple(axis for axis, shown in zip(POSE, seen, strict=False) if not shown)
+
+    @property
+    def tells_target(self) -> bool:
+        """Whether the poses tell where the target sits, or nothing measured depends on it."""
+        return self.tilts or not (self.turns and self.placed.any())
 
     @property
     def determines_target(self) -> bool:
@@ -480,15 +486,18 @@ def _placements(model: Model) -> Array:
     return _numbers(model) | model.table.matching(f"{name}.{part}" for name, part in parts if part)
 
 
-def _fit_frames(model: Model, observations: Observations, options: FitOptions) -> Model:
+def _fit_frames(model: Model, observations: Observations, options: FitOptions, told: bool) -> Model:
     """Fit the frames with the robot nearest to nominal; fix those of their parameters that depend
-    on the free parameters of the robot."""
+    on the free parameters of the robot. A target whose place the samples have not `told` stays
+    where it is assumed: it moves only in the fit of the robot."""
     own = _placements(model)
     if options.refit:
         free = model.table.matching(options.refit) | own
     else:
         free = free_mask(model, options.free, options.fix)
-    if not (free & own).any():
+    assumed = np.array([name in TARGET_PLACE for name in model.table.names]) & (not told)
+    settled = free & ~assumed
+    if not (settled & own).any():
         return model
     # Frames and robot are redundant. With every tolerance as a prior the solution is unique; with
     # priors on the weak directions only, the choice of these may change from step to step for ever.
@@ -496,7 +505,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     # robot: a tolerance of this origin would tilt {B} away from the drawing.
     frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
     frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
-    found = implicit.estimate(model, observations, free, prior=_prior_without(model, frame))
+    found = implicit.estimate(model, observations, settled, prior=_prior_without(model, frame))
     views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
     if _device(model) is not None:
         model = _with_frames(model, _turn_target(model.with_values(found.values), observations))
