@@ -34,6 +34,7 @@ from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
 )
+from parallel_cal.identification.registration import prepared_for_fit
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene
@@ -161,21 +162,23 @@ def find_addition(
     def keep(aside: Sequence[int]) -> Dataset:
         return dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
 
-    def fit_with(extended: Model, base: FitResult) -> FitResult:
+    def fit_with(added: Sequence[Candidate], base: FitResult) -> FitResult:
+        # Start where the base started, so that the device's frame is the one registered there; but
+        # if its geometry is implausible, the lack of the effects may have moved the frame.
+        extended = base.given.start if base.implausible else base.start
+        for one in added:
+            extended = extended.with_effect(one.name, one.settings)
         if not base.implausible:
             return fit(extended, base.dataset, options, progress)
-        # The effects would have to be there before the frame of the device can be placed again.
-        return fit_unjudged(extended, base.dataset, options, progress, base.given).judge(progress)
+        placed, _ = prepared_for_fit(extended, base.given.registration, base.dataset, options)
+        return fit_unjudged(placed, base.dataset, options, progress, base.given).judge(progress)
 
     def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
         scene, added = see(base), list[Candidate]()
-        # Start where the base started, so that the device's frame is the one registered there.
-        extended = base.start
         for name, settings in asked:
             one = candidate(scene, name)  # with the settings that fit the residuals best
             added.append(replace(one, settings=settings or one.settings))
-            extended = extended.with_effect(name, added[-1].settings)
-        result = with_given_model_of(result or fit_with(extended, base), base)
+        result = with_given_model_of(result or fit_with(added, base), base)
         return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))
 
     def fit_both(aside: Sequence[int], trusted: frozenset[int] = frozenset()) -> Addition:

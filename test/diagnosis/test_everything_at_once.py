@@ -106,3 +106,17 @@ def test_a_device_stands_where_it_does_with_the_first_cause(linear_delta):
     assert set(found.effects) == {"encoder_gain", "backlash", "base_drift", "payload_sag"}
     assert [one.sample for one in found.knocked] == [session.knocked]
     assert found.explanation.first == ("encoder_gain",)
+
+
+@pytest.mark.wide
+def test_what_is_found_from_the_drawing_is_added_where_the_device_stands_with_it(tmp_path):
+    """`add` kept the frame that the lack of the gain had moved, and refused what it had proposed:
+    a foot of the foreign hexapod was 11 tolerances off."""
+    session = foreign.make_session("hexapod-2", "hexapod", 1.8, 21)
+    model = foreign.draw(session.machine, tmp_path)
+    data = load_dataset(foreign.write_table(session, tmp_path, np.array), joints=model.joints)
+    found = diagnose(model, data)
+    assert {"encoder_gain", "backlash"} <= set(found.effects)
+    kept = data.excluding([session.knocked], "knocked")
+    added = add(model, found.addition.text, kept).model
+    assert foreign.compute_error(session, added) < 1.25 * foreign.find_possible(session)
