@@ -355,14 +355,15 @@ def test_the_last_pose_of_all_is_under_the_load_where_both_would_take_two(tmp_pa
 @pytest.mark.wide
 def test_an_effect_that_was_named_first_gives_way_to_one_that_fits_clearly_better(tmp_path):
     """Eighteen numbers of the screws' pitch explain most of six legs' cross-talk; beside a frame
-    that gives, nothing that is added makes up for the rest."""
+    that gives, nothing that is added makes up for the rest. The model does not state what drives
+    the legs: that they may be spools costs eight poses."""
     cell = SimulatedCell("stewart", 704, ["soft_frame", "cross_talk"])
     goal = Goal(payload=2.0, warmer=10.0, reach=2.0, seed=704)
     one = Campaign(tmp_path, dump_model(model_of("stewart")), goal, cell)
     outcome = one.run()
     assert outcome.success, outcome.message
     assert {*one.judgements[-1].effects} == {"payload_sag", "encoder_crosstalk"}
-    assert outcome.samples <= 48
+    assert outcome.samples <= 56
 
 
 @pytest.mark.wide

@@ -372,7 +372,9 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page.get_by_label("name of new branch").fill("careful")
         page.get_by_role("button", name="Branch", exact=True).click()
         page.get_by_role("cell", name="careful").wait_for()
-        page.get_by_role("checkbox").nth(1).click()
+        page.get_by_role("region", name="Samples", exact=True).get_by_role("checkbox").nth(
+            1
+        ).click()
         page.locator("#marked").get_by_text("1 sample marked").wait_for()
         page.get_by_label("reason").fill("bumped")
         page.get_by_role("button", name="Exclude", exact=True).click()
@@ -443,7 +445,9 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
             page.get_by_role("figure", name=words).wait_for()
         assert faults(page) == []
 
-        page.get_by_role("checkbox").nth(1).click()
+        page.get_by_role("region", name="Samples", exact=True).get_by_role("checkbox").nth(
+            1
+        ).click()
         page.locator("#marked").get_by_text("1 sample marked").wait_for()
         page.get_by_role("button", name="Open", exact=True).click()
         page.get_by_role("figure", name="readings of sample").wait_for()
@@ -656,7 +660,7 @@ def test_stop_and_pause_are_in_view_at_every_size_and_act(browser, at_robot, tmp
     page.locator("#campaign").get_by_text("moving: ").wait_for()
 
     page.set_viewport_size({"width": 1280, "height": 800})
-    page.get_by_role("checkbox").nth(1).click()
+    page.get_by_role("region", name="Samples", exact=True).get_by_role("checkbox").nth(1).click()
     page.get_by_role("button", name="Open", exact=True).click()
     page.get_by_role("button", name="Close", exact=True).wait_for()
     assert inside_viewport(page, "STOP")  # nor does a dialog cover it
