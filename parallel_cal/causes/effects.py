@@ -50,11 +50,12 @@ def list_effect_blocks(
         settings = [known[name]] if known.get(name) else settings
         a = conditions(plain, scene.dataset)
         each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
-        sizes = [1.0, *effect.other_kinds(mechanism).values()]
+        larger = [*effect.other_kinds(mechanism).values()]
         # About a fitted geometry that is plausible, no number of a drive is grossly wrong.
         if effect.mistaken > 1 and scene.sizes is not None:
-            sizes.append(effect.mistaken)
-        each, settings = [size * one for size in sizes for one in each], len(sizes) * settings
+            larger.append(effect.mistaken)
+        each = [*each, *(size * one for size in larger for one in each)]
+        settings = (1 + len(larger)) * settings
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried)
         if block is not None:

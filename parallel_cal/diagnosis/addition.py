@@ -34,7 +34,6 @@ from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
 )
-from parallel_cal.identification.registration import prepared_for_fit
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene
@@ -165,13 +164,14 @@ def find_addition(
     def fit_with(added: Sequence[Candidate], base: FitResult) -> FitResult:
         # Start where the base started, so that the device's frame is the one registered there; but
         # if its geometry is implausible, the lack of the effects may have moved the frame.
-        extended = base.given.start if base.implausible else base.start
+        if base.implausible:
+            effects = ((one.name, one.settings) for one in added)
+            placed = base.given.placed_with(effects, base.dataset, options)
+            return fit_unjudged(placed, base.dataset, options, progress, base.given).judge(progress)
+        extended = base.start
         for one in added:
             extended = extended.with_effect(one.name, one.settings)
-        if not base.implausible:
-            return fit(extended, base.dataset, options, progress)
-        placed, _ = prepared_for_fit(extended, base.given.registration, base.dataset, options)
-        return fit_unjudged(placed, base.dataset, options, progress, base.given).judge(progress)
+        return fit(extended, base.dataset, options, progress)
 
     def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
         scene, added = see(base), list[Candidate]()

@@ -48,6 +48,7 @@ from parallel_cal.diagnosis.search import (
     Chosen,
     Refit,
     Search,
+    Settle,
     Trial,
 )
 from parallel_cal.diagnosis.separate import NextMeasurement
@@ -444,14 +445,12 @@ class _Setup:
         least_squares = replace(self.any_size, loss="linear")
         refit = refit_with_equal_weights(self.model, judged, least_squares)
 
-        def search_from(smaller: Model) -> Search:
-            return Search(smaller, refit, self.report, self.options.usual_only)
+        def search_from(smaller: Model, settle: Settle | None = None) -> Search:
+            return Search(smaller, refit, self.report, self.options.usual_only, settle)
 
         def settle(chosen: Sequence[Chosen]) -> Model:
-            larger = self.given.start
-            for one in chosen:
-                larger = larger.with_effect(one.name, one.settings)
-            placed, _ = prepared_for_fit(larger, self.registration, kept, self.any_size)
+            effects = ((one.name, one.settings) for one in chosen)
+            placed = self.given.placed_with(effects, kept, self.any_size)
             for one in chosen:
                 placed = placed.without_effect(one.name)
             return placed
@@ -466,8 +465,7 @@ class _Setup:
             samples, known = self.recorded.excluding(aside, why), (base, result)
             return find_addition(self.asked, text, samples, as_add, knocked=(), known=known)
 
-        settle_anew = settle if self.registration else None
-        search = Search(self.model, refit, self.report, self.options.usual_only, settle_anew)
+        search = search_from(self.model, settle if self.registration else None)
         self.report("identifying the geometry", 0.0)
         if not aside and (odd := self._find_contradicting(search.fit(judged=False))):
             return self.diagnose_without(odd[0], seen=odd[1])

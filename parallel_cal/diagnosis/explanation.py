@@ -379,11 +379,8 @@ def _find_first(search: Search, base: Trial, names: Sequence[str]) -> tuple[Sear
             likely[name] = Chosen.of(candidate(drawn, name))
     sets = [(one,) for one in likely.values()]
     for tried in (sets, [chosen] if len(chosen) > 1 else []):
-        searches = [search.settled_with(one) for one in tried]
-        trials = [
-            (at, at.fit_as_shown(*one, judged=False))
-            for at, one in zip(searches, tried, strict=True)
-        ]
+        settled = ((search.settled_with(one), one) for one in tried)
+        trials = [(at, at.fit_as_shown(*one, judged=False)) for at, one in settled]
         plausible = [one for one in trials if one[1].result is not None]
         if plausible:
             return min(plausible, key=lambda one: one[1].fitted.estimate.chi2)

@@ -8,7 +8,7 @@ sample as those of the fit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -19,6 +19,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.identification.column_doubts import doubt_columns
 from parallel_cal.identification.image_poses import measure_image_noise
 from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.placement import place_sensors
 from parallel_cal.identification.prediction_errors import Errors, errors
 from parallel_cal.identification.registration import (
@@ -26,6 +27,7 @@ from parallel_cal.identification.registration import (
     Registration,
     is_registrable,
     place_frames,
+    prepared_for_fit,
     register_observed,
     registered_by,
     shows_pose,
@@ -106,6 +108,16 @@ class GivenModel:
             unregistered_observations=observations,
             doubted_columns=doubts,
         )
+
+    def placed_with(
+        self, effects: Iterable[tuple[str, Mapping[str, float]]], dataset: Dataset, how: FitOptions
+    ) -> Model:
+        """Return the start with effects and their settings, and with the device where it stands if
+        the robot has them: the lack of a large one moves it."""
+        larger = self.start
+        for name, settings in effects:
+            larger = larger.with_effect(name, settings)
+        return prepared_for_fit(larger, self.registration, dataset, how)[0]
 
     def with_dataset(self, dataset: Dataset) -> GivenModel:
         """Return this model, judged by some of its samples, or by all with other warnings."""
