@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
@@ -18,10 +18,16 @@ CENTRES = 30
 OWN_LENGTHS = ((0.1, 30), (0.3, 12), (0.7, 12), (1.5, 12))
 
 
-def list_unknown_blocks(scene: Scene) -> list[Block]:
-    """A block for each kind of law that is in no catalogue."""
-    makers = (_joint_laws, _laws_of_conditions, _laws_of_motion, _deflections, _fields, _drifts)
-    found = (block for make in makers for block in make(scene))
+def list_unknown_blocks(scene: Scene, kinds: Collection[str] = (LAW, FIELD, DRIFT)) -> list[Block]:
+    """A block for each law of these kinds that is in no catalogue."""
+    makers = {
+        LAW: (_joint_laws, _laws_of_conditions, _laws_of_motion, _deflections),
+        FIELD: (_fields,),
+        DRIFT: (_drifts,),
+    }
+    found = (
+        block for kind in makers if kind in kinds for make in makers[kind] for block in make(scene)
+    )
     return [block for block in found if block is not None]
 
 
