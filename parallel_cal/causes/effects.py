@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import cached_property
 
 import numpy as np
@@ -56,6 +57,11 @@ def list_effect_blocks(
             larger.append(effect.mistaken)
         each = [*each, *(size * one for size in larger for one in each)]
         settings = (1 + len(larger)) * settings
+        if effect.alone and not known.get(name):
+            new = np.array(plain.table.names)[find_new_parameters(scene.model, plain)]
+            patterns = [f"{name}.{pattern}" for pattern in effect.alone]
+            apart = [any(fnmatchcase(one, pattern) for pattern in patterns) for one in new]
+            each, settings, tried = [*each, each[0][:, apart]], [*settings, {}], tried + 1
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried)
         if block is not None:
@@ -116,7 +122,7 @@ class Scan:
         """The scanned values of one number, with all others as the setting has them, in order;
         none if they are too few to look between them."""
         others = setting.items() - {(key, setting[key])}
-        values = sorted({one[key] for one in self.block.settings if others <= one.items()})
+        values = sorted({one[key] for one in self.block.settings if others <= one.items() and one})
         return values if len(values) >= MIN_SCANNED else []
 
     def find_best(

@@ -49,7 +49,7 @@ def compute_falls(scene: Scene, chosen: Sequence[Choice] = ()) -> np.ndarray:
     With e = S^-1 r and P_i the block of a sample in S^-1, both off the geometry, it falls by
     e_i' P_i^-1 e_i.
     """
-    parts = [SIZES[one.size] * one.block.columns[one.setting] for one in chosen]
+    parts = [SIZES[one.size] * one.block.at(one.setting) for one in chosen]
     C = np.hstack([np.zeros((len(scene.residual), 0)), *parts])
     Z = np.linalg.solve(np.linalg.cholesky(np.eye(C.shape[1]) + C.T @ C), C.T).T
     e = scene.by_sample(scene.residual - Z @ (Z.T @ scene.residual))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
@@ -16,12 +16,21 @@ CENTRES = 30
 # finest follows scratches and chirping gears; without it waves of a known effect would describe
 # them best.
 OWN_LENGTHS = ((0.1, 30), (0.3, 12), (0.7, 12), (1.5, 12))
+# Lengths of drift, in standard deviations of the order. Up to so many rows of residuals drift is
+# exact: known at some samples only, it leaves a jump between two of them to the bump of a device.
+DRIFT_LENGTHS, MAX_EXACT_ROWS = (1.2, 0.4, 0.2, 0.1), 450
 
 
-def list_unknown_blocks(scene: Scene) -> list[Block]:
-    """A block for each kind of law that is in no catalogue."""
-    makers = (_joint_laws, _laws_of_conditions, _laws_of_motion, _deflections, _fields, _drifts)
-    found = (block for make in makers for block in make(scene))
+def list_unknown_blocks(scene: Scene, kinds: Collection[str] = (LAW, FIELD, DRIFT)) -> list[Block]:
+    """A block for each law of these kinds that is in no catalogue."""
+    makers = {
+        LAW: (_joint_laws, _laws_of_conditions, _laws_of_motion, _deflections),
+        FIELD: (_fields,),
+        DRIFT: (_drifts,),
+    }
+    found = (
+        block for kind in makers if kind in kinds for make in makers[kind] for block in make(scene)
+    )
     return [block for block in found if block is not None]
 
 
@@ -56,6 +65,13 @@ def _unit(J: np.ndarray) -> np.ndarray:
     return np.asarray(J / np.sqrt(max(np.sum(J**2) / (J.shape[2] * len(J)), 1e-300)))
 
 
+def _pose_jacobian(scene: Scene) -> np.ndarray:
+    """d rows/d pose (N, rows, 6), positions and turns each in units of their own root mean square:
+    a metre is not as likely as a radian."""
+    by_pose = scene.measured_jacobian[:, :, len(scene.model.joints) :][:, :, :6]
+    return np.concatenate([_unit(by_pose[:, :, :3]), _unit(by_pose[:, :, 3:])], axis=2)
+
+
 def _flat(scene: Scene, J: np.ndarray, functions: np.ndarray) -> np.ndarray:
     """Columns (n, k m): each of the derivatives J (N, rows, k) times each function (N, m)."""
     return np.einsum("nrk,nm->nrkm", _unit(J), functions).reshape(len(scene.residual), -1)
@@ -72,6 +88,14 @@ def _of_each_own(
         )
         for one in lengths
     ]
+
+
+def _principal(B: np.ndarray) -> np.ndarray:
+    """Columns (n, k) as at most n orthogonal ones, with the same evidence."""
+    if B.shape[1] <= len(B):
+        return B
+    values, vectors = np.linalg.eigh(B @ B.T)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _joint_laws(scene: Scene) -> Iterator[Block | None]:
@@ -124,7 +148,7 @@ def _deflections(scene: Scene) -> Iterator[Block | None]:
     if payload is None or not np.ptp(payload) > 0:
         return
     share = payload / np.sqrt(np.mean(payload**2))
-    J = scene.measured_jacobian[:, :, len(scene.model.joints) :]
+    J = _pose_jacobian(scene)
     columns = [
         _flat(scene, J, share[:, None] * smooth(scene.places, length, CENTRES))
         for length in (0.7, 1.5, 3.0)
@@ -146,10 +170,12 @@ def _fields(scene: Scene) -> Iterator[Block | None]:
 def _drifts(scene: Scene) -> Iterator[Block | None]:
     if "time" not in scene.dataset.conditions:
         return
-    n = len(scene.model.joints)
+    J = _pose_jacobian(scene)
     order = np.argsort(np.argsort(scene.dataset.time)).astype(float)
+    exact = len(scene.residual) <= MAX_EXACT_ROWS
+    centres = len(order) if exact else MAX_EXACT_ROWS // J.shape[2]
     columns = [
-        _flat(scene, scene.measured_jacobian[:, :, n:], smooth(order, length, centres, rough=True))
-        for length, centres in ((1.2, 16), (0.4, 32), (0.12, 48))
+        _principal(_flat(scene, J, smooth(order, length, centres, rough=True)))
+        for length in DRIFT_LENGTHS
     ]
     yield Block.of(scene, "drifting noise", DRIFT, LOG_PRIOR, columns)

@@ -32,9 +32,9 @@ def find_doubtful_effects(scene: Scene, chosen: Sequence[Candidate]) -> list[str
     """
     names = [one.name for one in chosen]
     device = [name for name in list_effects_to_test(scene.model) if load_effect(name).of_device]
-    causes = Causes.of(
-        scene, list(dict.fromkeys([*names, *device])), {c.name: c.settings for c in chosen}
-    )
+    other_side = {LAW if load_effect(name).of_device else FIELD for name in names}
+    settings = {one.name: one.settings for one in chosen}
+    causes = Causes.of(scene, list(dict.fromkeys([*names, *device])), settings, other_side)
     known = {block.name: block for block in causes.blocks}
     made = causes.sum
     best = made.choose([known[name] for name in names if name in known])

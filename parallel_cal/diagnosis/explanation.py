@@ -24,7 +24,7 @@ from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW, Block, Stack
+from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, KNOCK, LAW, Block, Stack
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior, Sum
@@ -216,14 +216,16 @@ class Causes:
         scene: Scene,
         names: Sequence[str],
         settings: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
+        kinds: Collection[str] = (LAW, FIELD, DRIFT, KNOCK),
     ) -> Causes:
         """All causes, of which the effects are these `names`; `settings` holds those of an effect
-        that are known."""
+        that are known. Of what no effect describes, these `kinds` are there."""
         variance, nu = _find_noise(scene)
         scene, larger = widen(scene.in_units_of(variance), names)
         effects = list_effect_blocks(scene, names, settings)
-        unknown = [*list_unknown_blocks(scene), *list_knock_blocks(scene)]
-        return cls(scene, [*larger, *effects, *unknown], nu, variance)
+        unknown = list_unknown_blocks(scene, kinds)
+        knocks = list_knock_blocks(scene) if KNOCK in kinds else []
+        return cls(scene, [*larger, *effects, *unknown, *knocks], nu, variance)
 
     @cached_property
     def sum(self) -> Sum:
@@ -232,9 +234,7 @@ class Causes:
     def agree_with(self, fit: Trial, described: Posterior, effects: Collection[Chosen]) -> bool:
         """Whether a fit with these effects leaves the chi2 that the linear problem predicts."""
         names = {one.name for one in effects}
-        columns = [
-            one.block.columns[one.setting] for one in described.chosen if one.block.name in names
-        ]
+        columns = [one.block.at(one.setting) for one in described.chosen if one.block.name in names]
         r, C = self.scene.residual, np.hstack(columns)
         left = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
         return bool(abs(fit.fitted.estimate.chi2 / self.variance - left @ left) < MAX_LINEAR_ERROR)

@@ -26,6 +26,7 @@ class ScrewPitchError(Effect):
     """
 
     fixed = ("lead",)
+    alone = ("*.bend",)
     physics = "A screw that wobbles or is bent advances unevenly within each of its turns."
     remedy = "keep the correction in the model; a ground screw reduces the error"
     source = "ISO 3408-3: v_2pi of 4-8 um for ball screws of class C1-C5, tens for rolled ones"

@@ -104,6 +104,9 @@ class Effect(ABC):
     fixed : tuple of str
         Name patterns of its parameters that are known constants. A fit does not identify them.
         Default none.
+    alone : tuple of str
+        Name patterns of parameters that may be there without the others, whatever its known
+        constants are. A diagnosis weighs these alone, too. Default none.
     added_later : tuple of str
         Name patterns of parameters that model files of earlier releases lack. They have their
         nominal values there, and are fixed if all others of the effect are. Default none.
@@ -151,6 +154,7 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
     fixed: ClassVar[tuple[str, ...]] = ()
+    alone: ClassVar[tuple[str, ...]] = ()
     added_later: ClassVar[tuple[str, ...]] = ()
     of_device: ClassVar[bool] = False
     depends_on_class: ClassVar[bool] = True

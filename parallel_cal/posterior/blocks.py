@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ from parallel_cal.posterior.scene import Scene
 
 EFFECT, LAW, FIELD, DRIFT, KNOCK = "effect", "law", "field", "drift", "knock"
 NO_COLUMN = 1e-9  # root of the sum of squares of a column that the geometry imitates
+NEGLIGIBLE = 1e-7  # sum of squares of a column that changes no logarithm of evidence by 1e-4
 LOG_ODDS = np.log(1 / 30)  # that a robot has a known cause, before anything is measured
 
 
@@ -23,9 +24,9 @@ class Block:
 
     The residual that it makes is s B_i u with u ~ N(0, 1): a column is what one coefficient of its
     usual size does to the residual, in units of the noise, and s is the size of the cause in usual
-    sizes. Only what the geometry cannot imitate counts. The coefficients u are turned so that the
-    columns of a setting are orthogonal: `squares` (m, k) are their sums of squares, and `onto`
-    (m, k) their products with the residual.
+    sizes. Only what the geometry cannot imitate counts. The coefficients u are turned by T_i (a
+    `turn` each) so that the columns B_i T_i of a setting are orthogonal: `squares` (m, k) are their
+    sums of squares, and `onto` (m, k) their products with the residual.
 
     Attributes
     ----------
@@ -47,7 +48,8 @@ class Block:
     log_prior: float
     settings: tuple[Mapping[str, float], ...]
     tried: int
-    columns: np.ndarray = field(repr=False)
+    columns: tuple[np.ndarray, ...] = field(repr=False)
+    turns: np.ndarray = field(repr=False)
     squares: np.ndarray = field(repr=False)
     onto: np.ndarray = field(repr=False)
 
@@ -58,24 +60,52 @@ class Block:
         name: str,
         kind: str,
         log_prior: float,
-        columns: Sequence[np.ndarray],
+        columns: Iterable[np.ndarray],
         settings: Sequence[Mapping[str, float]] = (),
         tried: int | None = None,
     ) -> Block | None:
         """Make a block of columns (n, k) for each setting; None if the geometry imitates it.
 
-        Sets with fewer columns than others are padded with zeros, which change no evidence.
+        The turns of sets with fewer columns than others are padded with zeros, which change no
+        evidence.
         """
-        widest = max(one.shape[1] for one in columns)
-        padded = [np.pad(one, ((0, 0), (0, widest - one.shape[1]))) for one in columns]
-        B = np.array([scene.project_off_geometry(one) for one in padded])
-        squares, turn = np.linalg.eigh(B.transpose(0, 2, 1) @ B)
-        if np.sqrt(squares.max(initial=0.0)) < NO_COLUMN:
+        B = tuple(scene.project_off_geometry(one) for one in columns)
+        widest = max(one.shape[1] for one in B)
+        squares, turns = np.zeros((len(B), widest)), np.zeros((len(B), widest, widest))
+        onto = np.zeros((len(B), widest))
+        for i, one in enumerate(B):
+            k = one.shape[1]
+            squares[i, :k], turns[i, :k, :k] = np.linalg.eigh(one.T @ one)
+            onto[i] = scene.residual @ one @ turns[i, :k]
+        largest = squares.max(axis=0, initial=0.0)
+        if not (largest > NO_COLUMN**2).any():
             return None
-        kept = squares.max(axis=0) > NO_COLUMN**2
-        B, squares = (B @ turn)[:, :, kept], np.maximum(squares[:, kept], 0.0)
+        kept = largest > min(NEGLIGIBLE, largest.max() / 2)
         given = tuple(settings) or ({},) * len(B)
-        return cls(name, kind, log_prior, given, tried or len(B), B, squares, scene.residual @ B)
+        squares = np.maximum(squares[:, kept], 0.0)
+        tried = tried or len(B)
+        return cls(
+            name, kind, log_prior, given, tried, B, turns[:, :, kept], squares, onto[:, kept]
+        )
+
+    @cached_property
+    def _turned(self) -> dict[int, np.ndarray]:
+        return {}
+
+    def at(self, setting: int) -> np.ndarray:
+        """The orthogonal columns (n, k) of one setting, made once."""
+        if setting not in self._turned:
+            B = self.columns[setting]
+            self._turned[setting] = B @ self.turns[setting, : B.shape[1]]
+        return self._turned[setting]
+
+    def times(self, columns: np.ndarray) -> np.ndarray:
+        """The products (c, m, k) of other columns (n, c) with those of all settings."""
+        products = [
+            columns.T @ B @ turn[: B.shape[1]]
+            for B, turn in zip(self.columns, self.turns, strict=True)
+        ]
+        return np.stack(products, axis=1)
 
     @cached_property
     def alone(self) -> Stack:
@@ -96,7 +126,7 @@ class Stack:
         """Stack the blocks of one kind that have equally many columns."""
         alike = defaultdict[tuple[int, str], list[Block]](list)
         for block in blocks:
-            alike[block.columns.shape[2], block.kind].append(block)
+            alike[block.squares.shape[1], block.kind].append(block)
         return [cls(tuple(alike[key])) for key in sorted(alike)]
 
     @cached_property
@@ -127,10 +157,11 @@ class Stack:
         return {}
 
     def times(self, other: Block, setting: int) -> np.ndarray:
-        """The products (m, c, k) of the columns of one setting of another block with those of all
+        """The products (c, m, k) of the columns of one setting of another block with those of all
         settings, computed once."""
         key = setting, id(other)
         if key not in self._products:  # with the other block, so that its id stays its own
-            products = [other.columns[setting].T @ block.columns for block in self.blocks]
-            self._products[key] = other, np.concatenate(products)
+            columns = other.at(setting)
+            products = np.concatenate([block.times(columns) for block in self.blocks], axis=1)
+            self._products[key] = other, products
         return self._products[key][1]

@@ -62,16 +62,15 @@ class Evidence:
     chosen: tuple[Choice, ...] = ()
 
     def _times(self, stack: Stack) -> np.ndarray:
-        """Products (m, c, k) of all chosen columns with those of other blocks."""
-        m, k = stack.onto.shape
+        """Products (c, m, k) of all chosen columns with those of other blocks."""
         parts = [SIZES[one.size] * stack.times(one.block, one.setting) for one in self.chosen]
-        return np.concatenate([np.zeros((m, 0, k)), *parts], axis=1)
+        return np.concatenate([np.zeros((0, *stack.onto.shape)), *parts])
 
     @cached_property
     def _factor(self) -> np.ndarray:
         """Cholesky factor of 1 + C'C, of the chosen columns C."""
         parts = [
-            SIZES[one.size] * self._times(one.block.alone)[one.setting] for one in self.chosen
+            SIZES[one.size] * self._times(one.block.alone)[:, one.setting] for one in self.chosen
         ] or [np.zeros((0, 0))]
         gram = np.hstack(parts)
         return np.linalg.cholesky(np.eye(len(gram)) + gram)
@@ -116,19 +115,20 @@ class Evidence:
         directions, its matrix is 1 + s^2 (B'B - Z'Z). The smaller one of this and of 1 - s^2 Z
         (1 + s^2 B'B)^-1 Z' is factorised (Woodbury).
         """
-        Z = self._turn @ self._times(stack)
-        b = stack.onto - (self._onto @ Z)
-        _, c, k = Z.shape
+        (m, k), c = stack.onto.shape, len(self._turn)
+        turned = self._turn @ self._times(stack).reshape(c, m * k)
+        b = stack.onto - (self._onto @ turned).reshape(m, k)
+        Z = turned.reshape(c, m, k).transpose(1, 0, 2)
         s = SIZES[:, None]
         if c < k:
             D = 1 + s**2 * stack.squares[:, None]  # (m, sizes, k)
+            Zb = np.concatenate([Z, b[:, None]], axis=1)
+            scaled = ((s**2 / D)[:, :, None] * Zb[:, None]).reshape(m, -1, k)
+            M = (scaled @ Zb.transpose(0, 2, 1)).reshape(m, len(SIZES), c + 1, c + 1)
             explained, log_det = _factorise(
-                np.eye(c)
-                - (s[:, None] ** 2 * Z[:, None] / D[:, :, None]) @ Z.transpose(0, 2, 1)[:, None],
-                s**2 * ((b[:, None] / D) @ Z.transpose(0, 2, 1)),
-                self._squares,
+                np.eye(c) - M[..., :c, :c], M[..., c, :c], self._squares
             )
-            explained += np.sum((s * b[:, None]) ** 2 / D, axis=2)
+            explained += M[..., c, c]
             log_det += np.sum(np.log(D), axis=2)
         else:
             S = stack.squares[:, :, None] * np.eye(k) - Z.transpose(0, 2, 1) @ Z

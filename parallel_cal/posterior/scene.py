@@ -281,7 +281,8 @@ def _project_off(columns: np.ndarray, basis: np.ndarray, sizes: np.ndarray | Non
     if sizes is not None:
         taken = 1 - 1 / np.sqrt(1 + sizes**2)
         onto = taken.reshape(-1, *[1] * (onto.ndim - 1)) * onto
-    return np.asarray(columns - basis @ onto)
+    taken_away = basis @ onto
+    return np.asarray(np.subtract(columns, taken_away, out=taken_away))
 
 
 def compute_orthonormal_basis(J: np.ndarray, least: float, weak: float = 0.0) -> np.ndarray:

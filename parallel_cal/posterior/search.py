@@ -14,6 +14,10 @@ from parallel_cal.posterior.scene import Scene
 
 MAX_CAUSES = 6  # beside knocked samples
 MAX_ROUNDS = 4
+# Of the evidence for a wave, at most this share is lost between two numbers that are scanned: they
+# are half a peak's width apart, and sinc(1/4)^2 = 0.81.
+SCAN_LOSS = 0.25
+NO_RIVAL = 7.0  # of the logarithm: a set that is less likely by more need not be known well
 MAX_FIRST = 4  # effects that are tried as one of two in the place of one
 
 Refine = Callable[[Evidence, Choice], Choice]
@@ -120,10 +124,11 @@ class Sum:
     def _grow(self, now: Evidence, nu: float) -> tuple[Choice, ...] | None:
         """A likelier set with one cause more, each chosen again beside the others; None if there
         is none."""
-        ranked = self.rank(now, {one.block.name for one in now.chosen})
+        names = {one.block.name for one in now.chosen}
+        ranked = self.rank(now, names)
         if not ranked or ranked[0].log_p <= now.log_p:
             return None
-        more = self._polish((*now.chosen, self._refined(now, ranked[0].best)), nu)
+        more = self._polish((*now.chosen, self._find_best(now, ranked)), nu)
         return self._if_likelier(self._prune(more, nu), now, nu)
 
     def _split(self, now: Evidence, nu: float) -> tuple[Choice, ...] | None:
@@ -172,6 +177,23 @@ class Sum:
     def _refined(self, beside: Evidence, best: Choice) -> Choice:
         return self.refine(beside, best) if self.refine else best
 
+    def _find_best(self, beside: Evidence, ranked: Sequence[Ranked]) -> Choice:
+        """The likeliest of other causes, at the peak of its numbers."""
+        near = [one for one in ranked if self._highest(beside, one) >= ranked[0].log_p]
+        return max((self._at_peak(beside, one) for one in near), key=lambda one: one.log_p).best
+
+    def _highest(self, beside: Evidence, one: Ranked) -> float:
+        """The log posterior that one more cause has at most at the peak of its numbers."""
+        lost = SCAN_LOSS if one.best.block.settings[one.best.setting] else 0.0
+        return beside.log_p + (one.log_p - beside.log_p) / (1 - lost)
+
+    def _at_peak(self, beside: Evidence, one: Ranked) -> Ranked:
+        """One more cause, with its numbers refined between those that were scanned."""
+        best = self._refined(beside, one.best)
+        if best is one.best:
+            return one
+        return max(one, *beside.rank(best.block.alone), key=lambda ranked: ranked.log_p)
+
     def _polish(self, chosen: tuple[Choice, ...], nu: float) -> tuple[Choice, ...]:
         """Choose each cause again beside all others, until they stay."""
         for _ in range(MAX_ROUNDS):
@@ -179,12 +201,16 @@ class Sum:
             for k in range(len(chosen)):
                 rest = chosen[:k] + chosen[k + 1 :]
                 beside = self.evidence(rest, nu)
-                best = self.rank(beside, {one.block.name for one in rest})[0].best
                 own = self.evidence((*rest, chosen[k]), nu).log_p
-                same = best.block.name == chosen[k].block.name
-                if same and own >= self.evidence((*rest, best), nu).log_p:
+                best = self.rank(beside, {one.block.name for one in rest})[0]
+                same = best.best.block.name == chosen[k].block.name
+                if same and own >= self.evidence((*rest, best.best), nu).log_p:
                     continue  # its refined settings stay: no scanned one is better
-                chosen = (*chosen[:k], self._refined(beside, best), *chosen[k + 1 :])
+                if self._highest(beside, best) <= own:
+                    continue
+                peak = self._at_peak(beside, best).best
+                if self.evidence((*rest, peak), nu).log_p > own:
+                    chosen = (*chosen[:k], peak, *chosen[k + 1 :])
             if before == [one.block.name for one in chosen]:
                 break
         return chosen
@@ -232,6 +258,8 @@ class Sum:
             left = total - gain
             note(others, beside.log_p + left)
             for other in self.rank(beside, names):
+                if self._highest(beside, other) > now.log_p + gain - NO_RIVAL:
+                    other = self._at_peak(beside, other)
                 note((*others, other.best.block.name), other.log_p + left)
         logs = np.array(list(sets.values()))
         p = np.exp(logs - np.logaddexp.reduce(logs))

@@ -43,7 +43,7 @@ def test_beside_a_chosen_cause_the_fall_is_that_of_a_regression_with_its_prior()
     scene = scene_of(data.select(np.arange(60)))
     causes = Causes.of(scene, ["backlash"])
     chosen = causes.sum.choose([one for one in causes.blocks if one.name == "backlash"])
-    scaled = SIZES[chosen[0].size] * chosen[0].block.columns[chosen[0].setting]
+    scaled = SIZES[chosen[0].size] * chosen[0].block.at(chosen[0].setting)
     S = np.eye(len(scene.residual)) + scaled @ scaled.T
     rows = np.arange(len(scene.residual)).reshape(-1, scene.rows)
     falls = compute_falls(scene, chosen)

@@ -69,7 +69,7 @@ def test_the_evidence_is_the_density_of_a_multivariate_t_distribution():
     chosen = (Choice(blocks[1], 0, 2), Choice(blocks[3], 1, 0))
     S = np.eye(scene.dof)
     for one in chosen:
-        B = SIZES[one.size] * one.block.columns[one.setting]
+        B = SIZES[one.size] * one.block.at(one.setting)
         S += B @ B.T
     for nu in (2.0, 200.0):
         found = Evidence(squares, scene.dof, nu, chosen)
@@ -136,7 +136,7 @@ def test_a_probability_is_the_share_of_true_statements():
             if there := rng.random() < 0.1:
                 size = SIZES[rng.choice(len(SIZES), p=np.exp(LOG_WEIGHTS))]
                 setting = rng.integers(block.tried)
-                scene.residual += size * block.columns[setting] @ rng.standard_normal(2)
+                scene.residual += size * block.at(setting) @ rng.standard_normal(2)
             true.append(there)
         again = [
             Block.of(scene, b.name, b.kind, np.log(0.1 / 0.9), list(b.columns), b.settings)
