@@ -244,15 +244,23 @@ class BedFit:
         # A point at the edge of the present reach may be beyond that of other numbers.
         unreached = [~np.isfinite(self.moves(first, layer)) for layer in layers]
 
+        # All places at once: for a hundred points, calls take longer than what they compute.
+        near = np.concatenate([self.touched.position, *layers])
+        present = [self._motors(layer) - self.old.firmware.homed for layer in layers]
+        steps = np.concatenate([self.touched.steps, *present])
+        ends = np.cumsum([len(self.touched.steps), *map(len, layers[:-1])])
+
         def missed(numbers: Array) -> Array:
             firmware = machine(numbers).firmware
+            at = compute_positions(firmware, firmware.homed + steps, near)
+            touched, *moved = np.split(at, ends)
             on_bed, *above = (
-                np.where(skipped, 0.0, self.moves(firmware, layer))
-                for skipped, layer in zip(unreached, layers, strict=True)
+                np.where(skipped, 0.0, reached - layer)
+                for skipped, reached, layer in zip(unreached, moved, layers, strict=True)
             )
             weight = tightening / (np.sqrt(len(self.points)) * XY_SIGMA)
             rows = [
-                (self.touched.positions(firmware)[:, 2] - heights) / noise,
+                (touched[:, 2] - heights) / noise,
                 whitening @ (on_bed[:, :2].ravel() - target),
                 *((raised - on_bed).ravel() * weight for raised in above),
                 (_rods(firmware) - _rods(self.old.firmware)) / ROD_SIGMA,
