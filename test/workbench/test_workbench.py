@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import virtual_findings as vf
 from findings import hiding
-from workbench_page import LONG, Served, beside_a_played_robot, command, opened, until
+from workbench_page import LONG, Served, command, opened, until
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.options import FitOptions
@@ -609,73 +609,6 @@ def test_views_are_kept_as_plain_data(tmp_path):
     assert load_view(Kept) is None
     Path(tmp_path / "views" / "3.json").write_text("{ half")
     assert load_view(Kept) is None
-
-
-# ------------------------------------------------------------------ at a robot
-
-
-@pytest.fixture
-def at_robot(folder, tmp_path):
-    """A page beside a played robot that calibrates itself, on a session with every number that
-    the header shows."""
-    Session(folder).fit()
-    served = Served(folder, tmp_path / "told", command=beside_a_played_robot)
-    yield served
-    served.end()
-
-
-def inside_viewport(page, name):
-    """Whether a button lies inside the window and nothing covers it."""
-    box, window = (
-        page.get_by_role("button", name=name, exact=True).bounding_box(),
-        page.viewport_size,
-    )
-    middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
-    on_top = page.evaluate(
-        "([x, y]) => document.elementFromPoint(x, y)?.closest('button')?.innerText ?? ''", middle
-    )
-    return (
-        box["x"] >= 0
-        and box["y"] >= 0
-        and box["x"] + box["width"] <= window["width"]
-        and box["y"] + box["height"] <= window["height"]
-        and on_top.lower() == name.lower()
-    )
-
-
-@pytest.mark.wide
-def test_stop_and_pause_are_in_view_at_every_size_and_act(browser, at_robot, tmp_path):
-    page = browser.new_page(viewport={"width": 1280, "height": 800})
-    page.set_default_timeout(1000 * LONG)
-    page.goto(at_robot.url)
-    page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
-    page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
-    for width, height in ((800, 600), (1280, 800), (1920, 1080), (853, 480), (640, 400)):
-        page.set_viewport_size({"width": width, "height": height})
-        for end in ("0", "document.body.scrollHeight"):
-            page.evaluate(f"window.scrollTo(0, {end})")
-            time.sleep(0.3)  # the header is laid out anew
-            for name in ("STOP", "Pause"):
-                assert inside_viewport(page, name), (name, width, height, end)
-        assert page.evaluate("window.scrollY") > 0
-        assert page.locator("header").bounding_box()["height"] < 0.75 * height
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-
-    told = tmp_path / "told"
-    page.get_by_role("button", name="Pause", exact=True).click()
-    page.locator("#campaign").get_by_text("paused: ").wait_for()
-    assert told.read_text().split() == ["pause"]
-    page.get_by_role("button", name="Resume", exact=True).click()
-    page.locator("#campaign").get_by_text("moving: ").wait_for()
-
-    page.set_viewport_size({"width": 1280, "height": 800})
-    page.get_by_role("region", name="Samples", exact=True).get_by_role("checkbox").nth(1).click()
-    page.get_by_role("button", name="Open", exact=True).click()
-    page.get_by_role("button", name="Close", exact=True).wait_for()
-    assert inside_viewport(page, "STOP")  # nor does a dialog cover it
-    page.get_by_role("button", name="STOP", exact=True).click()
-    until(lambda: told.read_text().split() == ["pause", "resume", "stop"], "STOP to be told")
-    page.locator("#campaign").get_by_text("stopped: ").wait_for()
 
 
 # ------------------------------------------------------------------ over the model in use
