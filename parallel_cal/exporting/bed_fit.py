@@ -240,27 +240,19 @@ class BedFit:
         scale = np.maximum(np.abs(start), 0.01)
         [probe] = [sensor for sensor in self.model.sensors if sensor.name == PROBE]
         noise = probe.weighing_sigma
-        first, layers = machine(start).firmware, [self.points, *self.raised]
+        # All layers at once: for a hundred points, calls take longer than what they compute.
+        layers = [self.points, *self.raised]
+        places, ends = np.concatenate(layers), np.cumsum([len(layer) for layer in layers[:-1]])
         # A point at the edge of the present reach may be beyond that of other numbers.
-        unreached = [~np.isfinite(self.moves(first, layer)) for layer in layers]
-
-        # All places at once: for a hundred points, calls take longer than what they compute.
-        near = np.concatenate([self.touched.position, *layers])
-        present = [self._motors(layer) - self.old.firmware.homed for layer in layers]
-        steps = np.concatenate([self.touched.steps, *present])
-        ends = np.cumsum([len(self.touched.steps), *map(len, layers[:-1])])
+        unreached = ~np.isfinite(self.moves(machine(start).firmware, places))
 
         def missed(numbers: Array) -> Array:
             firmware = machine(numbers).firmware
-            at = compute_positions(firmware, firmware.homed + steps, near)
-            touched, *moved = np.split(at, ends)
-            on_bed, *above = (
-                np.where(skipped, 0.0, reached - layer)
-                for skipped, reached, layer in zip(unreached, moved, layers, strict=True)
-            )
+            moves = np.where(unreached, 0.0, self.moves(firmware, places))
+            on_bed, *above = np.split(moves, ends)
             weight = tightening / (np.sqrt(len(self.points)) * XY_SIGMA)
             rows = [
-                (touched[:, 2] - heights) / noise,
+                (self.touched.positions(firmware)[:, 2] - heights) / noise,
                 whitening @ (on_bed[:, :2].ravel() - target),
                 *((raised - on_bed).ravel() * weight for raised in above),
                 (_rods(firmware) - _rods(self.old.firmware)) / ROD_SIGMA,
