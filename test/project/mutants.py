@@ -292,13 +292,6 @@ MUTANTS = (
     ),
     Mutant(
         "identification/column_doubts.py",
-        "        and poses.find_unexplained_share() < MAX_GUESS_SHARE\n",
-        "",
-        "gains of some per cent are taken for exchanged columns",
-        "test_diagnosis_and_add.py::test_gains_of_some_per_cent_are_not_taken_for_exchanged_columns",
-    ),
-    Mutant(
-        "identification/column_doubts.py",
         "F = replace(given, measured=given.measured & PLACE).frames.F",
         "F = given.frames.F",
         "wrong orientations turn the device, too",
