@@ -240,16 +240,16 @@ class BedFit:
         scale = np.maximum(np.abs(start), 0.01)
         [probe] = [sensor for sensor in self.model.sensors if sensor.name == PROBE]
         noise = probe.weighing_sigma
-        first, layers = machine(start).firmware, [self.points, *self.raised]
+        # All layers at once: for a hundred points, calls take longer than what they compute.
+        layers = [self.points, *self.raised]
+        places, ends = np.concatenate(layers), np.cumsum([len(layer) for layer in layers[:-1]])
         # A point at the edge of the present reach may be beyond that of other numbers.
-        unreached = [~np.isfinite(self.moves(first, layer)) for layer in layers]
+        unreached = ~np.isfinite(self.moves(machine(start).firmware, places))
 
         def missed(numbers: Array) -> Array:
             firmware = machine(numbers).firmware
-            on_bed, *above = (
-                np.where(skipped, 0.0, self.moves(firmware, layer))
-                for skipped, layer in zip(unreached, layers, strict=True)
-            )
+            moves = np.where(unreached, 0.0, self.moves(firmware, places))
+            on_bed, *above = np.split(moves, ends)
             weight = tightening / (np.sqrt(len(self.points)) * XY_SIGMA)
             rows = [
                 (self.touched.positions(firmware)[:, 2] - heights) / noise,

@@ -286,19 +286,19 @@ def compute_positions(formula: Formula, motors: Array, near: Array) -> Array:
 
     `near` (N, 3) are starting values. NaN if the formula has no solution for these motors.
     """
-    aside = DIFFERENCE * np.vstack([np.eye(3), -np.eye(3)])[:, None]
-    r, turns = np.array(near, float), np.broadcast_to(np.eye(3), (6 * len(near), 3, 3))
+    aside = DIFFERENCE * np.eye(3)[:, None]
+    r, turns = np.array(near, float), np.broadcast_to(np.eye(3), (3 * len(near), 3, 3))
     R = turns[: len(near)]
     for k in range(MAX_STEPS):
-        off = formula.joints(r, R) - motors
+        here = formula.joints(r, R)
         if k % STEPS_PER_SLOPES == 0:
-            ahead, back = formula.joints((r + aside).reshape(-1, 3), turns).reshape(2, 3, -1, 3)
-            slopes = ((ahead - back) / (2 * DIFFERENCE)).transpose(1, 2, 0)
+            ahead = formula.joints((r + aside).reshape(-1, 3), turns).reshape(3, -1, 3)
+            slopes = ((ahead - here) / DIFFERENCE).transpose(1, 2, 0)
             bad = ~np.isfinite(slopes).all(axis=(1, 2))
             slopes[bad] = np.eye(3)
             inverse = np.linalg.inv(slopes)
             inverse[bad] = np.nan
-        step = np.einsum("nij,nj->ni", inverse, off)
+        step = np.einsum("nij,nj->ni", inverse, here - motors)
         r = r - step
         if not (np.abs(step) > CLOSE).any():
             return r

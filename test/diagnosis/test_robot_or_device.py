@@ -67,7 +67,7 @@ def sagging(seed):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_field_of_the_device_that_goes_with_the_payload_is_the_robots(seed):
     """As a field of the device it would take the mean deflection away from the robot, whose true
     error then rose from 40 to 51 um (seed 0)."""
@@ -128,7 +128,7 @@ def test_an_effect_that_the_device_may_cause_is_added_only_with_force(refracted)
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("seed", [3, 18])
+@pytest.mark.parametrize("seed", [3, pytest.param(18, marks=pytest.mark.slow)])
 def test_a_dent_in_the_devices_field_teaches_the_robot_nothing(seed):
     """A spot of 20 mm, a third of a millimetre deep: waves of joint angles follow it."""
     dented = dent(seed)
@@ -235,7 +235,7 @@ def test_an_effect_that_no_usual_device_error_imitates_is_explained_as_the_robot
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_axes_that_lean_by_a_milliradian_keep_their_name(seed):
     """A bent field imitates them, with three times as many numbers. They are so large that the
     samples do not separate them from the size of the robot: `add` refuses them for this reason."""

@@ -25,6 +25,8 @@ from parallel_cal.importing.touch_samples import touches_in
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.shelf import load_sensor
 
+# Printers beside the first one, by the same lines.
+OTHERS = [pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2)]
 NINE = (0, 4, 5, 7, 8, 9, 10, 11)  # radius, two tower angles, end-stops and the tilt of the bed
 
 
@@ -113,7 +115,7 @@ def largest_shape(moves, xy):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, OTHERS[0]])
 def test_a_probe_beside_the_nozzle_leaves_no_more_than_the_noise_at_its_touches(tmp_path, seed):
     """How bed and effector tilt is for no firmware, and hardly seen in touches: 30 to 65 um."""
     beside, noise = (-2.4e-3, 21.4e-3), 20e-6
@@ -140,7 +142,7 @@ def printer_files(folder, seed, noise):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *OTHERS])
 def test_the_default_path_fits_heights_and_improves_the_real_x_and_y(tmp_path, seed):
     printer, files = printer_files(tmp_path, seed, 20e-6)
     dataset = samples("rrf", [tmp_path / "map.csv", *files])
@@ -168,7 +170,7 @@ def test_the_default_path_fits_heights_and_improves_the_real_x_and_y(tmp_path, s
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, OTHERS[0]])
 def test_a_printed_length_sets_the_scale_without_fixed_parameters(tmp_path, seed):
     printer, files = printer_files(tmp_path, seed, 5e-6)
     printer = replace(printer, rod=printer.rod + 1.5e-3)

@@ -390,7 +390,14 @@ def test_what_was_meant_is_named_if_it_fits_the_poses(spoil, words, elsewhere):
     with pytest.raises(FitError, match=re.escape(words)) as refused:
         fit(doubtful, spoil(data))
     assert str(refused.value).startswith("legs.csv: the joint readings do not fit")
-    [said] = [w for w in compare(doubtful, spoil(data)).dataset.warnings if words in w]
+
+
+def test_a_comparison_warns_in_the_words_with_which_a_fit_refuses():
+    data = legs(offset=0.01)
+    doubtful, wrong = stewart((-0.4, 0.4)), replace(data, q=data.q * [1, 1, -1, 1, 1, 1])
+    with pytest.raises(FitError) as refused:
+        fit(doubtful, wrong)
+    [said] = [w for w in compare(doubtful, wrong).dataset.warnings if "leg3 has the" in w]
     assert said == str(refused.value)
 
 

@@ -174,14 +174,14 @@ def mesh(real, nominal, z_offset, radius=None):
     real printer, whose nozzle is at z_offset then.
     """
     x, y = np.meshgrid(np.linspace(-60, 60, 5), np.linspace(-60, 60, 5))
-    heights = np.zeros(25)
-    for k, (a, b) in enumerate(zip(x.ravel(), y.ravel(), strict=True)):
-        low, high = -5.0, 5.0  # the nozzle's height by the nominal numbers, by bisection
-        for _ in range(60):
-            middle = (low + high) / 2
-            at = reached(real, counted(nominal, np.array([[a - 20, b, middle]])))[0, 2]
-            low, high = (middle, high) if at < z_offset else (low, middle)
-        heights[k] = low - z_offset
+    # The nozzle's height by the nominal numbers, by bisection at all points at once.
+    low, high = np.full(25, -5.0), np.full(25, 5.0)
+    for _ in range(60):
+        middle = (low + high) / 2
+        nozzle = np.column_stack([x.ravel() - 20, y.ravel(), middle])
+        below = reached(real, counted(nominal, nozzle))[:, 2] < z_offset
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    heights = low - z_offset
     grid = heights.reshape(5, 5)
     if radius is not None:  # Klipper repeats the outermost probed height of a row
         out = np.hypot(x, y) > radius

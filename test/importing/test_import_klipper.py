@@ -7,6 +7,7 @@ import pytest
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.importing.controller_files import configured, samples
+from parallel_cal.importing.deltas import compute_positions
 from parallel_cal.kinematics.kinematics import Kinematics
 
 MM, DEGREE = 1e-3, np.pi / 180
@@ -252,3 +253,13 @@ def test_a_broken_file_is_named_with_line_and_field(file, name):
     assert message in str(error.value)
     assert "printer.cfg" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_motors_that_no_place_explains_have_none():
+    class Bowl:
+        def joints(self, r, R=None):
+            return r**2 + 1e-4
+
+    found = compute_positions(Bowl(), np.array([[0.0] * 3, [2e-4] * 3]), np.full((2, 3), 0.009))
+    assert np.isnan(found[0]).all()
+    np.testing.assert_allclose(found[1], 0.01, rtol=1e-6)

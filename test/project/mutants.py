@@ -165,6 +165,13 @@ MUTANTS = (
         "test_diagnosis_and_add.py test_robot_or_device.py",
     ),
     Mutant(
+        "diagnosis/comparison.py",
+        "doubts = filter(None, (given.observations.doubts, given.doubted_columns))",
+        "doubts = filter(None, (given.observations.doubts,))",
+        "a comparison is silent about exchanged columns",
+        "test_implausible_readings.py::test_a_comparison_warns_in_the_words_with_which_a_fit_refuses",
+    ),
+    Mutant(
         "diagnosis/device.py",
         "return [name for name in doubtful if among_all.get(name, 0.0) < CREDIBLE]",
         "return doubtful",
@@ -228,6 +235,13 @@ MUTANTS = (
         "test_effects_arm.py test_effects_load.py",
     ),
     Mutant(
+        "exporting/bed_fit.py",
+        "moves = np.where(unreached, 0.0, self.moves(firmware, places))",
+        "moves = self.moves(firmware, places)",
+        "a point beyond the reach of the new numbers ends an export",
+        "test_export_bed_fit.py test_export_heights.py",
+    ),
+    Mutant(
         "exporting/heights.py",
         "return self.before is not None and self.after > self.before + ROUNDING",
         "return False",
@@ -277,6 +291,13 @@ MUTANTS = (
         "test_acceptance.py",
     ),
     Mutant(
+        "identification/column_doubts.py",
+        "F = replace(given, measured=given.measured & PLACE).frames.F",
+        "F = given.frames.F",
+        "wrong orientations turn the device, too",
+        "test_implausible_readings.py test_unexplained_motion.py",
+    ),
+    Mutant(
         "identification/outliers.py",
         "return found if few else found[:0], sizes",
         "return found, sizes",
@@ -303,6 +324,13 @@ MUTANTS = (
         "tops = np.asarray(heights) * MM + long",
         "carriages at the height of rods that hang straight",
         "test_import_klipper.py test_import_marlin.py test_import_printers.py",
+    ),
+    Mutant(
+        "importing/deltas.py",
+        "return np.where(np.abs(step).max(axis=1, keepdims=True) > CLOSE, np.nan, r)",
+        "return r",
+        "motors that the rods do not allow have a place, too",
+        "test_import_distances.py test_export_bed_fit.py test_import_klipper.py",
     ),
     Mutant(
         "importing/importers/klipper.py",

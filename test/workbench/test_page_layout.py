@@ -1,12 +1,13 @@
 """The layout of the workbench's page, by the boxes of its parts in a real browser."""
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from datasets import measured
-from workbench_page import LONG, Served, beside_a_played_robot, opened
+from workbench_page import LONG, Served, beside_a_played_robot, opened, until
 
 from parallel_cal.diagnosis.patterns import compute_mean_profile
 from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
@@ -361,9 +362,14 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def page(browser, folder, tmp_path_factory):
+def told(tmp_path_factory):
+    """The file of what the played robot is told."""
+    return tmp_path_factory.mktemp("told") / "words"
+
+
+@pytest.fixture(scope="module")
+def page(browser, folder, told):
     """A page on a fitted session beside a played robot that runs a campaign."""
-    told = tmp_path_factory.mktemp("told") / "words"
     served = Served(folder, told, command=beside_a_played_robot)
     page = open_page(browser, served.url)
     page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
@@ -670,6 +676,58 @@ def test_buttons_for_marked_rows_wait_for_marks_and_excluding_for_a_reason(page)
     button("Include all").click()
     page.get_by_text("2 samples are excluded").wait_for(state="hidden")
     page.get_by_role("cell", name=re.compile(r"^include \d+, \d+$")).first.wait_for()
+
+
+def inside_viewport(page, name):
+    """Whether a button lies inside the window and nothing covers it."""
+    box, window = (
+        page.get_by_role("button", name=name, exact=True).bounding_box(),
+        page.viewport_size,
+    )
+    middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    on_top = page.evaluate(
+        "([x, y]) => document.elementFromPoint(x, y)?.closest('button')?.innerText ?? ''", middle
+    )
+    return (
+        box["x"] >= 0
+        and box["y"] >= 0
+        and box["x"] + box["width"] <= window["width"]
+        and box["y"] + box["height"] <= window["height"]
+        and on_top.lower() == name.lower()
+    )
+
+
+@pytest.mark.wide
+def test_stop_and_pause_are_in_view_at_every_size_and_act(page, told):
+    """The last test of this robot, which stops."""
+    page.reload()
+    page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
+    page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
+    for width, height in ((800, 600), (1280, 800), (1920, 1080), (853, 480), (640, 400)):
+        page.set_viewport_size({"width": width, "height": height})
+        for end in ("0", "document.body.scrollHeight"):
+            page.evaluate(f"window.scrollTo(0, {end})")
+            time.sleep(0.3)  # the header is laid out anew
+            for name in ("STOP", "Pause"):
+                assert inside_viewport(page, name), (name, width, height, end)
+        assert page.evaluate("window.scrollY") > 0
+        assert page.locator("header").bounding_box()["height"] < 0.75 * height
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+    page.get_by_role("button", name="Pause", exact=True).click()
+    page.locator("#campaign").get_by_text("paused: ").wait_for()
+    assert told.read_text().split() == ["pause"]
+    page.get_by_role("button", name="Resume", exact=True).click()
+    page.locator("#campaign").get_by_text("moving: ").wait_for()
+
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.get_by_role("region", name="Samples", exact=True).get_by_role("checkbox").nth(1).click()
+    page.get_by_role("button", name="Open", exact=True).click()
+    page.get_by_role("button", name="Close", exact=True).wait_for()
+    assert inside_viewport(page, "STOP")  # nor does a dialog cover it
+    page.get_by_role("button", name="STOP", exact=True).click()
+    until(lambda: told.read_text().split() == ["pause", "resume", "stop"], "STOP to be told")
+    page.locator("#campaign").get_by_text("stopped: ").wait_for()
 
 
 @pytest.mark.wide

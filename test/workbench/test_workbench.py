@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import virtual_findings as vf
 from findings import hiding
-from workbench_page import LONG, Served, beside_a_played_robot, command, opened, until
+from workbench_page import LONG, Served, command, opened, until
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.options import FitOptions
@@ -26,6 +26,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.session.history import SessionError
+from parallel_cal.session.known_columns import remember_columns
 from parallel_cal.session.session import Session
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
@@ -304,10 +305,18 @@ def test_a_session_that_cannot_be_written_says_so(folder):
 # ------------------------------------------------------------------ in a browser
 
 
-@pytest.fixture
-def browser():
+@pytest.fixture(scope="module")
+def chromium():
     with opened() as one:
         yield one
+
+
+@pytest.fixture
+def browser(chromium):
+    """The browser of all tests of this file; what a test opened in it is closed."""
+    yield chromium
+    for context in chromium.contexts:
+        context.close()
 
 
 @pytest.mark.wide
@@ -602,73 +611,6 @@ def test_views_are_kept_as_plain_data(tmp_path):
     assert load_view(Kept) is None
 
 
-# ------------------------------------------------------------------ at a robot
-
-
-@pytest.fixture
-def at_robot(folder, tmp_path):
-    """A page beside a played robot that calibrates itself, on a session with every number that
-    the header shows."""
-    Session(folder).fit()
-    served = Served(folder, tmp_path / "told", command=beside_a_played_robot)
-    yield served
-    served.end()
-
-
-def inside_viewport(page, name):
-    """Whether a button lies inside the window and nothing covers it."""
-    box, window = (
-        page.get_by_role("button", name=name, exact=True).bounding_box(),
-        page.viewport_size,
-    )
-    middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
-    on_top = page.evaluate(
-        "([x, y]) => document.elementFromPoint(x, y)?.closest('button')?.innerText ?? ''", middle
-    )
-    return (
-        box["x"] >= 0
-        and box["y"] >= 0
-        and box["x"] + box["width"] <= window["width"]
-        and box["y"] + box["height"] <= window["height"]
-        and on_top.lower() == name.lower()
-    )
-
-
-@pytest.mark.wide
-def test_stop_and_pause_are_in_view_at_every_size_and_act(browser, at_robot, tmp_path):
-    page = browser.new_page(viewport={"width": 1280, "height": 800})
-    page.set_default_timeout(1000 * LONG)
-    page.goto(at_robot.url)
-    page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
-    page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
-    for width, height in ((800, 600), (1280, 800), (1920, 1080), (853, 480), (640, 400)):
-        page.set_viewport_size({"width": width, "height": height})
-        for end in ("0", "document.body.scrollHeight"):
-            page.evaluate(f"window.scrollTo(0, {end})")
-            time.sleep(0.3)  # the header is laid out anew
-            for name in ("STOP", "Pause"):
-                assert inside_viewport(page, name), (name, width, height, end)
-        assert page.evaluate("window.scrollY") > 0
-        assert page.locator("header").bounding_box()["height"] < 0.75 * height
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-
-    told = tmp_path / "told"
-    page.get_by_role("button", name="Pause", exact=True).click()
-    page.locator("#campaign").get_by_text("paused: ").wait_for()
-    assert told.read_text().split() == ["pause"]
-    page.get_by_role("button", name="Resume", exact=True).click()
-    page.locator("#campaign").get_by_text("moving: ").wait_for()
-
-    page.set_viewport_size({"width": 1280, "height": 800})
-    page.get_by_role("region", name="Samples", exact=True).get_by_role("checkbox").nth(1).click()
-    page.get_by_role("button", name="Open", exact=True).click()
-    page.get_by_role("button", name="Close", exact=True).wait_for()
-    assert inside_viewport(page, "STOP")  # nor does a dialog cover it
-    page.get_by_role("button", name="STOP", exact=True).click()
-    until(lambda: told.read_text().split() == ["pause", "resume", "stop"], "STOP to be told")
-    page.locator("#campaign").get_by_text("stopped: ").wait_for()
-
-
 # ------------------------------------------------------------------ over the model in use
 
 
@@ -727,7 +669,10 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
 
 
 @pytest.mark.wide
-def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_path):
+def test_the_page_asks_before_it_writes_a_worse_model_and_before_it_adds_a_refused_effect(
+    browser, folder, tmp_path
+):
+    """Both histories keep the reasons."""
     output = tmp_path / "robot.yaml"
     session = Session(folder)
     session.fit()
@@ -761,29 +706,14 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page.get_by_role("cell", name="save to robot.yaml, forced").wait_for()
         page.get_by_role("cell", name="the camera was moved").wait_for()
         assert read_model(output).history[-1]["reason"] == "the camera was moved"
-    finally:
-        served.end()
 
-
-# ------------------------------------------------------------------ effects against the data
-
-
-@pytest.mark.wide
-def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browser, folder):
-    Session(folder).fit()
-    served = Served(folder)
-    try:
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.set_default_timeout(1000 * LONG)
-        page.goto(served.url)
-        page.locator("#verdict-words").get_by_text("backlash or hysteresis").wait_for()
         page.get_by_text("tested effects less probable").click()
         page.get_by_role("button", name="add gain of the drives").click()
         page.locator("#question").get_by_text("Add gain of the drives anyway?").wait_for()
         assert "--force" not in page.locator("#question").inner_text()
         page.get_by_role("button", name="Keep the model", exact=True).click()
         page.locator("#message").get_by_text("gain of the drives was not added").wait_for()
-        assert Session(folder).state.step == "fit"
+        assert Session(folder).state.step == "save to robot.yaml, forced"
 
         page.get_by_role("button", name="add gain of the drives").click()
         page.get_by_label("say why").fill("its data sheet states it")
@@ -813,58 +743,6 @@ def write_table(file):
     rows = np.column_stack([np.degrees(data.q), 1e3 * data.r])
     file.write_text("\n".join([header, *(";".join(map(repr, row)) for row in rows.tolist())]))
     return len(data)
-
-
-@pytest.mark.wide
-def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_path):
-    table, folder = tmp_path / "tracker.csv", tmp_path / "s"
-    count = write_table(table)
-    served = Served(MODEL, "--session", folder)
-    try:
-        page = browser.new_page(viewport={"width": 1280, "height": 900})
-        page.set_default_timeout(1000 * LONG)
-        page.goto(served.url)
-        page.locator("#empty").get_by_text("Import a table of measured poses").wait_for()
-        page.get_by_role("button", name="Import a table", exact=True).first.click()
-        page.locator("input[type=file]").set_input_files(table)
-        page.get_by_text("3 of 6 columns understood").click()
-        page.get_by_text(f"{count} rows; the first ones:").wait_for()
-        # Where the columns need more room than there is, a scrollbar is always in view.
-        page.set_viewport_size({"width": 420, "height": 900})
-        preview = page.locator(".q-dialog .wide-table")
-        assert preview.evaluate("e => e.scrollWidth > e.clientWidth")
-        bar = "e => getComputedStyle(e, '::-webkit-scrollbar').height"
-        assert preview.evaluate(bar) == "12px"
-        page.set_viewport_size({"width": 1280, "height": 900})
-
-        def choose(label, words):
-            page.get_by_label(label, exact=True).click()
-            page.get_by_role("option", name=words, exact=True).click()
-
-        def press_import():
-            page.get_by_role("button", name="Import", exact=True).click()
-
-        press_import()
-        answer = page.locator("#import-answer")
-        answer.get_by_text("choose a column for joint1, joint2, joint3").wait_for()
-        assert "parallel-cal import rrf" in answer.inner_text()  # if they are touches of a bed
-        for k, arm in enumerate("ABC"):
-            choose(f"column of joint{k + 1}", f"arm {arm} [deg]")
-        press_import()  # x, y and z were found by their names, but have no unit
-        answer.get_by_text("unit").wait_for()
-        assert answer.inner_text() == "the header states no unit: choose unit of x, y, z"
-        assert Session(folder).state.step == "begin"
-        choose("unit of x, y, z", "mm")
-        press_import()
-        answer.wait_for(state="hidden")
-        page.get_by_role("cell", name=f"import {count} samples of tracker.csv").wait_for()
-        page.get_by_role("button", name="Fit", exact=True).click()
-        page.get_by_role("cell", name="fit", exact=True).wait_for()
-    finally:
-        served.end()
-    session = Session(folder)
-    np.testing.assert_allclose(session.samples.q, load_dataset(BAG).q, atol=1e-12)
-    assert session.state.position_rms < 60e-6
 
 
 def test_a_table_with_the_documented_names_is_previewed_as_the_command_line_reads_it(folder):
@@ -987,19 +865,6 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
         unused.get_by_text("not used: Remark", exact=True).wait_for()
     finally:
         served.end()
-    # So are they in another session, and one click takes the header alone.
-    served = Served(MODEL, "--session", tmp_path / "other")
-    try:
-        page.goto(served.url)
-        page.get_by_role("button", name="Import a table", exact=True).first.click()
-        page.locator("input[type=file]").set_input_files(table)
-        page.get_by_text("13 of 14 columns understood").wait_for()
-        page.locator("#remembered").get_by_text("as in sides.csv, imported on").wait_for()
-        page.get_by_role("button", name="Read the header instead", exact=True).click()
-        page.get_by_text("10 of 14 columns understood").wait_for()
-        page.locator("#remembered").wait_for(state="hidden")
-    finally:
-        served.end()
     found = Session(folder).samples
     for k in (1, 2, 3):
         np.testing.assert_array_equal(found.conditions[f"direction.joint{k}"], sides[:, k - 1])
@@ -1007,6 +872,71 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
     assert found.names == dict.fromkeys(range(len(data)), "0.0")  # the column Shot
     assert found.measured.all()
     np.testing.assert_allclose(found.pose_cov[0, 0, 0], 20e-6**2)
+
+
+@pytest.mark.wide
+def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_path):
+    table, folder = tmp_path / "tracker.csv", tmp_path / "s"
+    count = write_table(table)
+    known = {
+        "joints": {f"joint{k}": {"column": f"arm {a} [deg]"} for k, a in enumerate("ABC", 1)},
+        "position": {"columns": ["X", "Y", "Z"], "unit": "mm"},
+        "conditions": {},
+        "visits": "unordered",
+        "noise": {},
+    }
+    assert remember_columns(read_model(MODEL).mechanism, Path("yesterday.csv"), known) == ""
+    served = Served(MODEL, "--session", folder)
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.locator("#empty").get_by_text("Import a table of measured poses").wait_for()
+        page.get_by_role("button", name="Import a table", exact=True).first.click()
+        page.locator("input[type=file]").set_input_files(table)
+        # As in another session of this user; one click takes the header alone.
+        page.get_by_text("6 of 6 columns understood").wait_for()
+        page.locator("#remembered").get_by_text("as in yesterday.csv, imported on").wait_for()
+        page.get_by_role("button", name="Read the header instead", exact=True).click()
+        page.locator("#remembered").wait_for(state="hidden")
+        page.get_by_text("3 of 6 columns understood").click()
+        page.get_by_text(f"{count} rows; the first ones:").wait_for()
+        # Where the columns need more room than there is, a scrollbar is always in view.
+        page.set_viewport_size({"width": 420, "height": 900})
+        preview = page.locator(".q-dialog .wide-table")
+        assert preview.evaluate("e => e.scrollWidth > e.clientWidth")
+        bar = "e => getComputedStyle(e, '::-webkit-scrollbar').height"
+        assert preview.evaluate(bar) == "12px"
+        page.set_viewport_size({"width": 1280, "height": 900})
+
+        def choose(label, words):
+            page.get_by_label(label, exact=True).click()
+            page.get_by_role("option", name=words, exact=True).click()
+
+        def press_import():
+            page.get_by_role("button", name="Import", exact=True).click()
+
+        press_import()
+        answer = page.locator("#import-answer")
+        answer.get_by_text("choose a column for joint1, joint2, joint3").wait_for()
+        assert "parallel-cal import rrf" in answer.inner_text()  # if they are touches of a bed
+        for k, arm in enumerate("ABC"):
+            choose(f"column of joint{k + 1}", f"arm {arm} [deg]")
+        press_import()  # x, y and z were found by their names, but have no unit
+        answer.get_by_text("unit").wait_for()
+        assert answer.inner_text() == "the header states no unit: choose unit of x, y, z"
+        assert Session(folder).state.step == "begin"
+        choose("unit of x, y, z", "mm")
+        press_import()
+        answer.wait_for(state="hidden")
+        page.get_by_role("cell", name=f"import {count} samples of tracker.csv").wait_for()
+        page.get_by_role("button", name="Fit", exact=True).click()
+        page.get_by_role("cell", name="fit", exact=True).wait_for()
+    finally:
+        served.end()
+    session = Session(folder)
+    np.testing.assert_allclose(session.samples.q, load_dataset(BAG).q, atol=1e-12)
+    assert session.state.position_rms < 60e-6
 
 
 # ------------------------------------------------------------------ samples set aside
