@@ -83,6 +83,17 @@ class Workspace:
     low: tuple[float, ...]
     high: tuple[float, ...]
 
+    @classmethod
+    def around(
+        cls, centre: np.ndarray, reach: float | np.ndarray, turns: Sequence[float] = ()
+    ) -> Workspace:
+        """Return the box from `centre - reach` to `centre + reach` (m), and from `-turns` to
+        `turns` (rad)."""
+        return cls(
+            low=(*map(float, centre - reach), *(-turn for turn in turns)),
+            high=(*map(float, centre + reach), *turns),
+        )
+
 
 @dataclass(frozen=True)
 class Box:
