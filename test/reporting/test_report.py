@@ -442,11 +442,11 @@ def test_ways_and_speeds_of_a_sliding_joint_are_in_metres():
 
 
 def test_maps_of_the_model_uncertainty_say_for_which_conditions_they_hold(made, text):
-    from parallel_cal.workbench import views
+    from parallel_cal.workbench.picture_views import list_pictures
 
     validity = "at neutral conditions (direction 0)"
     assert f"not from the residuals. They hold {validity}." in Page(text).text
-    pictures = views._pictures(made.residuals, made.diagnosis.best.scene, None)
+    pictures = list_pictures(made.residuals, made.diagnosis.best.scene, None)
     assert next(one["words"] for one in pictures if one["name"] == "uncertainty").endswith(
         f" times, {validity}"
     )
