@@ -19,35 +19,40 @@ if TYPE_CHECKING:
     from parallel_cal.identification.drift_rate import DriftRate
     from parallel_cal.model.model import Model
 
+Recordings = Annotated[
+    list[Path],
+    typer.Argument(
+        help="recordings of the robot at different times, with that of its last calibration"
+    ),
+]
+FleetFolder = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="results of parallel-cal fleet for such robots: one recording is then enough",
+    ),
+]
+LimitUm = Annotated[
+    float | None,
+    typer.Option(
+        min=0,
+        help="largest rms position error (um) that you accept [default: 1.41 times the "
+        "validation error, where the drift is as large as the error of the calibration]",
+    ),
+]
+LimitArcmin = Annotated[
+    float | None,
+    typer.Option(min=0, help="largest rms orientation error (arcmin) that you accept"),
+]
+
 
 def drift(
     model: ModelFile,
-    recordings: Annotated[
-        list[Path],
-        typer.Argument(
-            help="recordings of the robot at different times, with that of its last calibration"
-        ),
-    ],
+    recordings: Recordings,
     time: Times = None,
-    fleet: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="results of parallel-cal fleet for such robots: one recording is then enough",
-        ),
-    ] = None,
-    limit_um: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            help="largest rms position error (um) that you accept [default: 1.41 times the "
-            "validation error, where the drift is as large as the error of the calibration]",
-        ),
-    ] = None,
-    limit_arcmin: Annotated[
-        float | None,
-        typer.Option(min=0, help="largest rms orientation error (arcmin) that you accept"),
-    ] = None,
+    fleet: FleetFolder = None,
+    limit_um: LimitUm = None,
+    limit_arcmin: LimitArcmin = None,
     output: OptionalOut = None,
     data: Data = None,
     details: Details = False,

@@ -21,44 +21,48 @@ if TYPE_CHECKING:
     from parallel_cal.model.model import Model
     from parallel_cal.recordings.dataset import Dataset
 
+Target = Annotated[
+    str,
+    typer.Option(
+        "--to",
+        metavar="TARGET[:option=value,...]",
+        help="c, klipper, rrf, ... or the Python path of your own target",
+    ),
+]
+Folder = Annotated[Path | None, typer.Option("-o", "--output", help="folder to write to")]
+Into = Annotated[
+    list[Path] | None,
+    typer.Option(
+        help="instead of -o: change the parameters in this existing controller file; may be "
+        "given several times"
+    ),
+]
+TouchFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        help="recorded touches of the bed (.json), at which the height error of the firmware's "
+        "model is computed; may be given several times [default: those that the model was "
+        "fitted to]"
+    ),
+]
+Force = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        help="write the file even if it is refused. It is refused if the height error at the "
+        "touches rises, or if printed parts would change by more than 0.5 mm in x or y "
+        "although no measurement covers x and y",
+    ),
+]
+
 
 def export(
     model: ModelFile,
-    to: Annotated[
-        str,
-        typer.Option(
-            "--to",
-            metavar="TARGET[:option=value,...]",
-            help="c, klipper, rrf, ... or the Python path of your own target",
-        ),
-    ],
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="folder to write to")
-    ] = None,
-    into: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="instead of -o: change the parameters in this existing controller file; may be "
-            "given several times"
-        ),
-    ] = None,
-    touches: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="recorded touches of the bed (.json), at which the height error of the firmware's "
-            "model is computed; may be given several times [default: those that the model was "
-            "fitted to]"
-        ),
-    ] = None,
-    force: Annotated[
-        bool,
-        typer.Option(
-            "--force",
-            help="write the file even if it is refused. It is refused if the height error at the "
-            "touches rises, or if printed parts would change by more than 0.5 mm in x or y "
-            "although no measurement covers x and y",
-        ),
-    ] = False,
+    to: Target,
+    output: Folder = None,
+    into: Into = None,
+    touches: TouchFiles = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write the calibrated model for a controller."""

@@ -33,77 +33,87 @@ Option = Annotated[
     list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the mechanism")
 ]
 
+MechanismName = Annotated[
+    str | None,
+    typer.Argument(help="name from 'parallel-cal mechanisms'; omit it with --from"),
+]
+Configuration = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--from",
+        metavar="FILE",
+        help="configuration of a controller (config.g, printer.cfg, ...), a URDF, or an MJCF, "
+        "SDF or URDF with loops",
+    ),
+]
+FromLink = Annotated[str, typer.Option(help="first link of the URDF [default: its root]")]
+ToLink = Annotated[
+    str,
+    typer.Option(help="last link of the chain [default: the end link (leaf) that joints move]"),
+]
+BaseBody = Annotated[
+    str,
+    typer.Option(
+        help="body, link or site of a closed chain that carries {B} [default: the floating "
+        "body, or the root]"
+    ),
+]
+PlatformBody = Annotated[str, typer.Option(help="body, link or site of a closed chain that is {P}")]
+DrivenJoints = Annotated[
+    str,
+    typer.Option(
+        metavar="JOINT,JOINT,...",
+        help="joints of a closed chain with readings, in this order [default: those with "
+        "actuators in the file]",
+    ),
+]
+LockedJoints = Annotated[
+    str,
+    typer.Option(
+        metavar="JOINT,JOINT,...",
+        help="passive joints of a closed chain that do not move, such as stiff springs",
+    ),
+]
+DriveOption = Annotated[
+    str,
+    typer.Option(
+        metavar="{KEY: VALUE}",
+        help="drive of all joints in m, such as '{kind: spool, radius: 0.05, gear: 10}': "
+        "recorded angles of the motors are then converted to lengths",
+    ),
+]
+SensorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME: {KEY: VALUE}", help="measuring set-up, such as 'probe: {height: 0.3}'"
+    ),
+]
+MachineClass = Annotated[
+    str | None,
+    typer.Option(
+        "--class",
+        metavar="CLASS",
+        help="how large the errors of such a machine usually are: precision, industrial or "
+        "hobby [default: hobby with the configuration of a printer's firmware, otherwise "
+        "industrial]",
+    ),
+]
+
 
 def new(
     output: Out,
-    mechanism: Annotated[
-        str | None,
-        typer.Argument(help="name from 'parallel-cal mechanisms'; omit it with --from"),
-    ] = None,
-    configuration: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--from",
-            metavar="FILE",
-            help="configuration of a controller (config.g, printer.cfg, ...), a URDF, or an MJCF, "
-            "SDF or URDF with loops",
-        ),
-    ] = None,
-    from_link: Annotated[str, typer.Option(help="first link of the URDF [default: its root]")] = "",
-    to_link: Annotated[
-        str,
-        typer.Option(help="last link of the chain [default: the end link (leaf) that joints move]"),
-    ] = "",
-    base: Annotated[
-        str,
-        typer.Option(
-            help="body, link or site of a closed chain that carries {B} [default: the floating "
-            "body, or the root]"
-        ),
-    ] = "",
-    platform: Annotated[
-        str, typer.Option(help="body, link or site of a closed chain that is {P}")
-    ] = "",
-    driven: Annotated[
-        str,
-        typer.Option(
-            metavar="JOINT,JOINT,...",
-            help="joints of a closed chain with readings, in this order [default: those with "
-            "actuators in the file]",
-        ),
-    ] = "",
-    locked: Annotated[
-        str,
-        typer.Option(
-            metavar="JOINT,JOINT,...",
-            help="passive joints of a closed chain that do not move, such as stiff springs",
-        ),
-    ] = "",
+    mechanism: MechanismName = None,
+    configuration: Configuration = None,
+    from_link: FromLink = "",
+    to_link: ToLink = "",
+    base: BaseBody = "",
+    platform: PlatformBody = "",
+    driven: DrivenJoints = "",
+    locked: LockedJoints = "",
     option: Option = None,
-    drive: Annotated[
-        str,
-        typer.Option(
-            metavar="{KEY: VALUE}",
-            help="drive of all joints in m, such as '{kind: spool, radius: 0.05, gear: 10}': "
-            "recorded angles of the motors are then converted to lengths",
-        ),
-    ] = "",
-    sensor: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME: {KEY: VALUE}", help="measuring set-up, such as 'probe: {height: 0.3}'"
-        ),
-    ] = None,
-    machine_class: Annotated[
-        str | None,
-        typer.Option(
-            "--class",
-            metavar="CLASS",
-            help="how large the errors of such a machine usually are: precision, industrial or "
-            "hobby [default: hobby with the configuration of a printer's firmware, otherwise "
-            "industrial]",
-        ),
-    ] = None,
+    drive: DriveOption = "",
+    sensor: SensorOption = None,
+    machine_class: MachineClass = None,
     as_json: Json = False,
 ) -> None:
     """Write a model file. Its values are nominal, or those of a controller's configuration, of a
@@ -114,33 +124,8 @@ def new(
 
     if output.exists():
         raise ParallelCalError(f"{output}: file exists already; remove it or give another name")
-    ends = (base, platform, driven, locked)
-    linkage = mechanism in (None, "chain") and _is_linkage(configuration or [], any(ends))
-    urdf = None if linkage else _get_urdf(mechanism, configuration or [])
-    if not (urdf or linkage) and (
-        (mechanism is None) == (not configuration)
-        or (configuration and option)
-        or (from_link or to_link)
-        or any(ends)
-    ):
-        raise typer.BadParameter(
-            "expected a MECHANISM (and its options), or --from FILE; only a URDF, an MJCF or an "
-            "SDF has links, driven joints and options"
-        )
-    if linkage:
-        from parallel_cal.importing.closed_chain import chain
-
-        files = configuration or []
-        names, still = ([*filter(None, text.split(","))] for text in (driven, locked))
-        found = chain(files, base, platform, names, still, **parse_options(option))
-        model, values, remarks = found.model, f"as in {files[0]}", found.remarks
-    elif urdf:
-        from parallel_cal.importing.urdf import arm
-
-        found = arm(urdf, from_link, to_link, **parse_options(option))
-        model, values, remarks = found.model, f"as in {urdf}", found.remarks
-    else:
-        model, values, remarks = _make_model(mechanism, option, configuration)
+    links, ends = (from_link, to_link), (base, platform, driven, locked)
+    model, values, remarks = _make_model(mechanism, option, configuration or [], links, ends)
     if drive:
         model = _with_drive(model, drive)
     model = _with_set_ups(model, sensor or [])
@@ -189,17 +174,37 @@ def _is_linkage(configuration: list[Path], stated: bool) -> bool:
 def _make_model(
     mechanism: str | None,
     options: list[str] | None,
-    configuration: list[Path] | None,
+    files: list[Path],
+    links: tuple[str, str],
+    ends: tuple[str, str, str, str],
 ) -> tuple[Model, str, tuple[str, ...]]:
-    """Return the model, the origin of its numbers, and remarks on what the origin lacks."""
+    """Return the model, the origin of its numbers, and remarks on what the origin lacks.
+
+    It is that of a closed chain, of a serial arm, of a mechanism, or of a controller. `links` are
+    the first and the last one of an arm. `ends` are base and platform of a chain, and its driven
+    and locked joints.
+    """
+    from parallel_cal.importing.closed_chain import chain
+    from parallel_cal.importing.controller_files import configured
+    from parallel_cal.importing.urdf import arm
     from parallel_cal.model.model import new_model
 
+    if mechanism in (None, "chain") and _is_linkage(files, any(ends)):
+        base, platform, *lists = ends
+        driven, locked = ([*filter(None, text.split(","))] for text in lists)
+        found = chain(files, base, platform, driven, locked, **parse_options(options))
+        return found.model, f"as in {files[0]}", found.remarks
+    if urdf := _get_urdf(mechanism, files):
+        found = arm(urdf, *links, **parse_options(options))
+        return found.model, f"as in {urdf}", found.remarks
+    if (mechanism is None) == (not files) or (files and options) or any(links) or any(ends):
+        raise typer.BadParameter(
+            "expected a MECHANISM (and its options), or --from FILE; only a URDF, an MJCF or an "
+            "SDF has links, driven joints and options"
+        )
     if mechanism is not None:
         model = new_model(_mechanism(mechanism, options or []))
         return model, "at their nominal values", model.mechanism.remarks
-    from parallel_cal.importing.controller_files import configured
-
-    files = configuration or []
     found = configured(files)
     return found.model, f"as in {', '.join(map(str, files))}", found.remarks
 

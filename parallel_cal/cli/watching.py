@@ -20,6 +20,8 @@ from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
     from parallel_cal.recordings.dataset import Dataset
+    from parallel_cal.watch.confirmation import Confirmation
+    from parallel_cal.watch.watch import Watch
 
 Times = Annotated[
     list[str] | None,
@@ -33,41 +35,45 @@ Times = Annotated[
 STATE_SUFFIX = ".watch.json"
 MAX_CLOCK_ERROR_S = 86400.0  # of a stated time: zones, and clocks that a battery keeps
 
+NewRecordings = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        help="recordings of ordinary motion since the last call, in order of time; without "
+        "one, the state is shown"
+    ),
+]
+StateFile = Annotated[
+    Path | None,
+    typer.Option(
+        help=f"file in which the watch continues [default: MODEL{STATE_SUFFIX}, beside the model]"
+    ),
+]
+FalseAlarmDays = Annotated[
+    float, typer.Option(help="mean time between false alarms, days", min=1e-6)
+]
+Undo = Annotated[
+    bool,
+    typer.Option("--undo", help="take back the last recording first, such as one of another robot"),
+]
+TrendPage = Annotated[
+    Path | None, typer.Option("-o", "--output", help="page to write (.html), with the trend")
+]
+ConfirmationFile = Annotated[
+    Path | None,
+    typer.Option(help="file for the poses (.csv) that would confirm an alarm"),
+]
+
 
 def watch(
     model: ModelFile,
-    recordings: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="recordings of ordinary motion since the last call, in order of time; without "
-            "one, the state is shown"
-        ),
-    ] = None,
-    state: Annotated[
-        Path | None,
-        typer.Option(
-            help=f"file in which the watch continues [default: MODEL{STATE_SUFFIX}, beside "
-            "the model]"
-        ),
-    ] = None,
+    recordings: NewRecordings = None,
+    state: StateFile = None,
     time: Times = None,
-    false_alarm_days: Annotated[
-        float, typer.Option(help="mean time between false alarms, days", min=1e-6)
-    ] = 30.0,
+    false_alarm_days: FalseAlarmDays = 30.0,
     joint_sigma: JointSigma = None,
-    undo: Annotated[
-        bool,
-        typer.Option(
-            "--undo", help="take back the last recording first, such as one of another robot"
-        ),
-    ] = False,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="page to write (.html), with the trend")
-    ] = None,
-    confirm: Annotated[
-        Path | None,
-        typer.Option(help="file for the poses (.csv) that would confirm an alarm"),
-    ] = None,
+    undo: Undo = False,
+    output: TrendPage = None,
+    confirm: ConfirmationFile = None,
     data: Data = None,
     details: Details = False,
     as_json: Json = False,
@@ -77,13 +83,10 @@ def watch(
     much, and what else it could be."""
     from parallel_cal.base.files import write_atomically
     from parallel_cal.model.file.modelfile import read_model
-    from parallel_cal.recordings.bag import data_hash
-    from parallel_cal.recordings.loading import load_stamped
     from parallel_cal.reporting.watching import describe_watch, document_watch
-    from parallel_cal.watch.confirmation import plan_confirmation
     from parallel_cal.watch.state import continue_watch, write_state
 
-    robot, paths, options = read_model(model), recordings or [], data_options(data)
+    robot, paths = read_model(model), recordings or []
     if output is not None and output.suffix != ".html":
         raise ParallelCalError(
             f"-o {output}: the page is HTML, expected a name that ends with .html"
@@ -99,19 +102,9 @@ def watch(
         if undo:
             console.note(f"taken back: {found.visits[-1].name if found.visits else 'nothing'}")
             found = found.without_last()
-        known = {visit.sha256 for visit in found.visits}
         for k, path in enumerate(paths):
             console.progress(f"reading {path.name}", k / len(paths))
-            if (content := data_hash(path)) in known:
-                console.note(f"{path} was taken before; it counts once")
-                continue
-            dataset, stamp = load_stamped(
-                path, options, console.progress, mechanism=robot.mechanism
-            )
-            console.warn(dataset.warnings, brief=not details)
-            when = read_time(path, dataset, stamp, times[k])
-            found = found.add(replace(dataset, sha256=content), when, joint_sigma, str(path))
-            known.add(content)
+            found = _add_recording(found, path, times[k], data, joint_sigma, details)
         console.progress("", 1.0)
         if not (found.visits or undo):
             raise ParallelCalError(f"{file} has no recordings yet: give at least one")
@@ -119,12 +112,7 @@ def watch(
             console.note(f"the watch of the other model is kept in {kept}")
     if not found.visits:
         return console.say(f"{file} has no recordings now")
-    confirmation = None
-    if found.alarm:
-        try:
-            confirmation = plan_confirmation(found)
-        except ParallelCalError as error:
-            console.note(f"no measurement was planned that would confirm it: {error}")
+    confirmation = _plan_confirmation(found) if found.alarm else None
     if output is not None:
         from parallel_cal.reporting.watch_page import watch_page
 
@@ -137,6 +125,40 @@ def watch(
     for written in (output, confirm if confirmation is not None else None):
         if written is not None:
             console.say(f"written: {written}")
+
+
+def _add_recording(
+    found: Watch,
+    path: Path,
+    time: str | None,
+    data: list[str] | None,
+    joint_sigma: float | None,
+    details: bool,
+) -> Watch:
+    """Add a recording to a watch, unless it has the same content as one that was added before."""
+    from parallel_cal.recordings.bag import data_hash
+    from parallel_cal.recordings.loading import load_stamped
+
+    content = data_hash(path)
+    if content in {visit.sha256 for visit in found.visits}:
+        console.note(f"{path} was taken before; it counts once")
+        return found
+    mechanism = found.model.mechanism
+    dataset, stamp = load_stamped(path, data_options(data), console.progress, mechanism=mechanism)
+    console.warn(dataset.warnings, brief=not details)
+    when = read_time(path, dataset, stamp, time)
+    return found.add(replace(dataset, sha256=content), when, joint_sigma, str(path))
+
+
+def _plan_confirmation(found: Watch) -> Confirmation | None:
+    """Return the measurement that would confirm an alarm; None, with a note, if there is none."""
+    from parallel_cal.watch.confirmation import plan_confirmation
+
+    try:
+        return plan_confirmation(found)
+    except ParallelCalError as error:
+        console.note(f"no measurement was planned that would confirm it: {error}")
+        return None
 
 
 @contextmanager

@@ -21,43 +21,54 @@ from parallel_cal.reporting import console
 if TYPE_CHECKING:
     from parallel_cal.base.worker import Worker
 
+ModelOrSession = Annotated[
+    Path | None,
+    typer.Argument(metavar="MODEL.yaml", help="model file, or the folder of a session"),
+]
+NewBags = Annotated[
+    list[Path] | None,
+    typer.Argument(help="recordings for a new session; without any, import tables on the page"),
+]
+Ros = Annotated[
+    bool,
+    typer.Option(
+        "--ros",
+        help="use the running kinematics_node and calibration_node; if none run, start them "
+        "on a copy of the model",
+    ),
+]
+Namespace = Annotated[str, typer.Option(help="namespace of the nodes, with --ros")]
+SessionFolder = Annotated[
+    Path | None, typer.Option(help="folder of the session [default: MODEL.session]")
+]
+SavedFile = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help="file that Save writes [default: the model file of the nodes; without --ros: "
+        "model.yaml in the session's folder]",
+    ),
+]
+Host = Annotated[str, typer.Option(help="address on which the server listens")]
+Port = Annotated[int, typer.Option(help="port on which the server listens")]
+Token = Annotated[str, typer.Option(help="secret that visitors need; required by --host")]
+Browser = Annotated[bool, typer.Option("--open/--no-open", help="open a browser")]
+
 
 @with_options
 def workbench(
-    model: Annotated[
-        Path | None,
-        typer.Argument(metavar="MODEL.yaml", help="model file, or the folder of a session"),
-    ] = None,
-    bags: Annotated[
-        list[Path] | None,
-        typer.Argument(help="recordings for a new session; without any, import tables on the page"),
-    ] = None,
+    model: ModelOrSession = None,
+    bags: NewBags = None,
     *,
-    ros: Annotated[
-        bool,
-        typer.Option(
-            "--ros",
-            help="use the running kinematics_node and calibration_node; if none run, start them "
-            "on a copy of the model",
-        ),
-    ] = False,
-    namespace: Annotated[str, typer.Option(help="namespace of the nodes, with --ros")] = "",
-    session: Annotated[
-        Path | None, typer.Option(help="folder of the session [default: MODEL.session]")
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="file that Save writes [default: the model file of the nodes; without --ros: "
-            "model.yaml in the session's folder]",
-        ),
-    ] = None,
-    host: Annotated[str, typer.Option(help="address on which the server listens")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="port on which the server listens")] = 8080,
-    token: Annotated[str, typer.Option(help="secret that visitors need; required by --host")] = "",
-    browser: Annotated[bool, typer.Option("--open/--no-open", help="open a browser")] = True,
+    ros: Ros = False,
+    namespace: Namespace = "",
+    session: SessionFolder = None,
+    output: SavedFile = None,
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
+    token: Token = "",
+    browser: Browser = True,
     options: Fitting,
     data: Data = None,
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import casadi as ca
@@ -12,6 +13,7 @@ import numpy as np
 
 from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.diagnosis.thresholds import MIN_SLOW_CORRELATION
+from parallel_cal.discovery.places import DEVICE, JOINT, ROD
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
     MAX_LEVELS,
@@ -34,6 +36,8 @@ from parallel_cal.model.parameters import Named
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 
+ROBOT, AXIS = "robot", "axis"
+OWNERS = (ROBOT, JOINT, ROD, AXIS, DEVICE)  # what a driver belongs to
 READING, LOAD, TENSION, TIME = "reading", "load", "tension", "time"
 STRETCH, MOMENT = "stretch", "moment"
 INCLINATION = "inclination"  # of legs, lines or rods
@@ -140,9 +144,9 @@ class Driver:
 
     `name` is as in reports (`load.joint2`), `family` its name without the joint, `code` what an
     effect computes it from, `needs` the condition that this requires. `slow` is whether it changes
-    as slowly as noise may. `joint`, `rod` or `axis` is the index of the one that it belongs to.
-    `shown` is whether it is a position in the frame of the device, which stood elsewhere in each
-    recording.
+    as slowly as noise may. `owner` is what it belongs to: the JOINT, ROD or AXIS of {B} with the
+    number `index`, the whole ROBOT, or the DEVICE if it is a position in the frame of a device that
+    stood elsewhere in each recording.
     """
 
     name: str
@@ -150,18 +154,16 @@ class Driver:
     unit: str
     code: str
     values: np.ndarray = field(repr=False)
-    joint: int | None = None
     zero: float = 0.0
     needs: str = ""
     slow: bool = False
-    rod: int | None = None
-    shown: bool = False
-    axis: int | None = None
+    owner: str = ROBOT
+    index: int = 0
 
     @property
-    def is_common(self) -> bool:
-        """Whether it belongs to the whole robot, and to no joint, rod or axis."""
-        return self.joint is None and self.rod is None and self.axis is None
+    def joint(self) -> int | None:
+        """The number of the joint that it belongs to, if it belongs to one."""
+        return self.index if self.owner == JOINT else None
 
     @property
     def few_values(self) -> bool:
@@ -177,7 +179,7 @@ class Driver:
         """The driver in words: `the load on joint2`."""
         if lag := parse_lag(self.name):
             return f"the {lag[0]}, delayed by a time constant of {lag[1]:g} s"
-        if self.shown:
+        if self.owner == DEVICE:
             return f"the {self.family} that the device shows"
         if part := parse_part(self.name):
             return f"the {part[0]} of the part '{part[1]}'"
@@ -201,7 +203,7 @@ def list_drivers(scene: Scene) -> list[Driver]:
     order = np.argsort(scene.dataset.time, kind="stable")
     known_order = "time" in scene.dataset.conditions
     found = []
-    for one in _iterate_drivers(scene):
+    for one in chain.from_iterable(source(scene) for source in SOURCES):
         if np.isfinite(one.values).all() and np.ptp(one.values) > MIN_VARIATION:
             away = one.values[order] - one.values[order].mean()
             correlated = bool(away[1:] @ away[:-1] > MIN_SLOW_CORRELATION * (away @ away))
@@ -220,7 +222,7 @@ def list_shown_positions(shown: np.ndarray) -> list[Driver]:
         if np.ptp(values) > MIN_VARIATION:
             middle = 0.0 if name == "radius" else _round_middle(values)
             own = f"device.{name}"
-            found.append(Driver(own, name, "m", code, values - middle, zero=middle, shown=True))
+            found.append(Driver(own, name, "m", code, values - middle, middle, owner=DEVICE))
     return found
 
 
@@ -231,59 +233,64 @@ def select_for_screening(drivers: Sequence[Driver]) -> list[Driver]:
     return [one for one in drivers if one.name not in left_out]
 
 
-def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
-    """Iterate over all quantities that were recorded or follow from the configuration."""
-    mechanism, seen = scene.model.mechanism, scene.seen
-    joints, units, n = scene.model.joints, mechanism.joint_units, len(scene.model.joints)
-    for i, (name, unit) in enumerate(zip(joints, units, strict=True)):
-        q = seen[:, i]
-        middle = _round_middle(q)
-        yield Driver(name, READING, unit, f"seen.q[{i}]", q - middle, i, middle)
+def _iterate_readings(scene: Scene) -> Iterator[Driver]:
+    """Iterate over the readings of the joints."""
+    units = scene.model.mechanism.joint_units
+    for i, (name, unit) in enumerate(zip(scene.model.joints, units, strict=True)):
+        middle = _round_middle(scene.seen[:, i])
+        values = scene.seen[:, i] - middle
+        yield Driver(name, READING, unit, f"seen.q[{i}]", values, middle, owner=JOINT, index=i)
+
+
+def _iterate_statics(scene: Scene) -> Iterator[Driver]:
+    """Iterate over the forces and moments of the payload, and how members lie in gravity."""
+    joints, units = scene.model.joints, scene.model.mechanism.joint_units
     for i, values in enumerate(compute_loads(scene).T):
         unit = "N m" if units[i] == "rad" else "N"
-        yield Driver(f"load.{joints[i]}", LOAD, unit, f"load[{i}]", values, i, needs=PAYLOAD)
+        own = f"{LOAD}.{joints[i]}", LOAD, unit, f"load[{i}]", values
+        yield Driver(*own, needs=PAYLOAD, owner=JOINT, index=i)
     for k, values in enumerate(compute_tensions(scene).T):
-        yield Driver(
-            f"{TENSION}.rod{k + 1}", TENSION, "N", f"tension[{k}]", values, rod=k, needs=PAYLOAD
-        )
+        own = f"{TENSION}.rod{k + 1}", TENSION, "N", f"tension[{k}]", values
+        yield Driver(*own, needs=PAYLOAD, owner=ROD, index=k)
     for i, values in enumerate(compute_stretches(scene).T):
-        name = f"{STRETCH}.{joints[i]}"
-        yield Driver(name, STRETCH, "N m", f"stretch[{i}]", values, i, needs=PAYLOAD)
-    by_rod = bool(rods(mechanism)[0])
+        own = f"{STRETCH}.{joints[i]}", STRETCH, "N m", f"stretch[{i}]", values
+        yield Driver(*own, needs=PAYLOAD, owner=JOINT, index=i)
+    owner = ROD if rods(scene.model.mechanism)[0] else JOINT
     for k, values in enumerate(compute_inclinations(scene).T):
-        name = f"{INCLINATION}.{f'rod{k + 1}' if by_rod else joints[k]}"
+        name = f"{INCLINATION}.{f'rod{k + 1}' if owner == ROD else joints[k]}"
         middle, code = _round_middle(values), f"{INCLINATION}[{k}]"
-        joint, rod = (None, k) if by_rod else (k, None)
-        yield Driver(name, INCLINATION, "1", code, values - middle, joint, zero=middle, rod=rod)
+        values = values - middle
+        yield Driver(name, INCLINATION, "1", code, values, middle, owner=owner, index=k)
     for axis, values in compute_moments(scene).items():
-        name, code = f"{MOMENT}.{'xyz'[axis]}", f"moment[{axis}]"
-        yield Driver(name, MOMENT, "N m", code, values, needs=PAYLOAD, axis=axis)
-    known = scene.dataset.conditions
+        own = f"{MOMENT}.{'xyz'[axis]}", MOMENT, "N m", f"moment[{axis}]", values
+        yield Driver(*own, needs=PAYLOAD, owner=AXIS, index=axis)
+
+
+def _iterate_conditions(scene: Scene) -> Iterator[Driver]:
+    """Iterate over the recorded conditions: of each joint, of the robot, of its parts."""
+    known, joints = scene.dataset.conditions, scene.model.joints
     for kind in JOINT_CONDITIONS:
         for i, name in enumerate(joints):
             key = f"{kind}.{name}"
             if key in known:
-                unit = CONDITIONS[kind][0].replace("rad", units[i])
-                yield Driver(key, kind, unit, f"at[{json.dumps(key)}]", known[key], i, needs=kind)
-    for kind in COMMON_CONDITIONS:
-        if kind in known:
-            unit, neutral, _ = CONDITIONS[kind]
-            unit = unit.replace("degC", "K")  # of a difference
-            yield Driver(
-                kind, kind, unit, f"at.{kind}", known[kind] - neutral, zero=neutral, needs=kind
-            )
-    for name in filter(parse_part, known):
-        if not parse_lag(name):
-            unit, neutral, _ = CONDITIONS["temperature"]
-            code, values = f"at[{json.dumps(name)}]", known[name] - neutral
-            yield Driver(name, name, "K", code, values, zero=neutral, needs=name)
-    for name in filter(parse_lag, known):
-        unit, neutral, _ = CONDITIONS["temperature"]
-        code = f"at[{json.dumps(name)}]"
-        values = known[name] - neutral
-        yield Driver(name, LAGGED, "K", code, values, zero=neutral, needs=name)
-    r, R = seen[:, n : n + 3], seen[:, n + 3 : n + 12]
-    moved = set(mechanism.moves)
+                unit = CONDITIONS[kind][0].replace("rad", scene.model.mechanism.joint_units[i])
+                own = key, kind, unit, f"at[{json.dumps(key)}]", known[key]
+                yield Driver(*own, needs=kind, owner=JOINT, index=i)
+    common = {kind: f"at.{kind}" for kind in COMMON_CONDITIONS if kind in known}
+    parts = [name for name in known if parse_part(name) and not parse_lag(name)]
+    lags = [name for name in known if parse_lag(name)]
+    for name in (*common, *parts, *lags):
+        unit, neutral, _ = CONDITIONS[name.split(".")[0]]
+        unit = unit.replace("degC", "K")  # of a difference
+        code = common.get(name, f"at[{json.dumps(name)}]")
+        family = LAGGED if name in lags else name
+        yield Driver(name, family, unit, code, known[name] - neutral, zero=neutral, needs=name)
+
+
+def _iterate_places(scene: Scene) -> Iterator[Driver]:
+    """Iterate over the coordinates of the platform that move."""
+    n, moved = len(scene.model.joints), set(scene.model.mechanism.moves)
+    r, R = scene.seen[:, n : n + 3], scene.seen[:, n + 3 : n + 12]
     values = {a: r[:, k] for k, a in enumerate("xyz") if a in moved}
     if {"x", "y"} <= moved:
         values["radius"] = np.hypot(r[:, 0], r[:, 1])
@@ -297,6 +304,10 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
         unit, code = PLACES[name]
         middle = 0.0 if name == "radius" else _round_middle(column)
         yield Driver(name, name, unit, code, column - middle, zero=middle)
+
+
+# Of all quantities that were recorded or follow from the configuration, in this order.
+SOURCES = (_iterate_readings, _iterate_statics, _iterate_conditions, _iterate_places)
 
 
 def _round_middle(values: np.ndarray) -> float:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill, indent
@@ -19,7 +19,7 @@ from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.stations import Stations
 from parallel_cal.discovery.drivers import INCLINATION, LOAD, MOMENT, STRETCH, TENSION
 from parallel_cal.discovery.formula import Formula, Term
-from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
+from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place, Site
 
 WIDTH = 96  # characters of a line of the docstring
 # family of a driver -> where the function is that computes it, it, its requirement
@@ -30,6 +30,41 @@ FORCES = {
 }
 COMPUTED = FORCES | {INCLINATION: ("_legs", "leg_inclinations", "needs_legs")}
 RELATIVE_CONSTANT_TOLERANCE = 0.1  # of a scanned constant, if a user frees it
+TEMPLATE = '''"""{title}
+
+{equation}
+
+{found}
+"""
+
+import casadi as ca
+
+{imports}
+
+
+class FoundLaw(Effect):
+{docstring}
+
+{attributes}
+    physics = (
+{physics}
+    )
+    remedy = "find the cause; until then, keep the correction in the model"
+    source = (
+{source}
+    )
+
+    def parameters(self, mechanism):
+        return [
+{parameters}
+        ]
+
+    def applies(self, mechanism):
+{applies}
+
+    def ideal(self, seen, e, at, mechanism):
+{ideal}
+'''
 
 
 @dataclass(frozen=True)
@@ -160,111 +195,191 @@ def write_effect(
     was found. `values` are coefficients and sigmas after a refit with the geometry.
     """
     sentence, found = _plain(sentence), _plain(found)
-    site = formula.hypothesis.site
-    used = [formula.hypothesis.drivers[number] for number in formula.used_drivers]
-    computed = _list_computed(formula)
-    weighs = any(family in FORCES for family in computed)
-    stations = site.members[0].stations
-    needs = list(dict.fromkeys(own[0].needs for own in used if own[0].needs))
-    if stations is not None:
-        needs = list(dict.fromkeys([*needs, "session"]))
-    coefficients = list_coefficients(formula)
-    values = values or {}
-    fixed = [c.name for c in coefficients if c.scanned] + (["mass.*"] if weighs else [])
-    quoted = ", ".join(f'"{name}"' for name in fixed)
-    required = ", ".join(f'"{name}"' for name in needs)
-    lines = [
-        '"""' + fill(f"{sentence}. Found in data; its cause is not known.", WIDTH),
-        "",
-        _equation(formula),
-        "",
-        fill(found, WIDTH),
-        '"""',
-        "",
-        "import casadi as ca",
-        "",
-        "from parallel_cal import Effect, Parameter",
-    ]
-    if site.kind in (PLATFORM, BASE, DEVICE):
-        lines.append("from parallel_cal.base.rotation import cayley")
-    if stations is not None:
-        lines.append("from parallel_cal.effects._frames import select_station")
-    functions = {name: set[str]() for name in ("_legs", "_lines", "_statics")}
-    functions["_statics"] |= {"masses"} if weighs else set()
-    for family in computed:
-        module, *names = COMPUTED[family]
-        functions[module] |= set(names)
-    if site.kind == ROD:
-        functions["_statics"] |= {"lengthen_rods", "needs_rods"}
-    for module, own in functions.items():
-        if own:
-            lines.append(f"from parallel_cal.effects.{module} import {', '.join(sorted(own))}")
-    if stations is not None:
-        lines += ["", *_write_stations(stations)]
-    lines += ["", "", "class FoundLaw(Effect):"]
-    lines += indent(f'"""{fill(sentence + ".", WIDTH - 8)}"""', " " * 4).splitlines()
-    lines.append("")
-    if needs:
-        lines.append(f"    needs = ({required},)")
-    if fixed:
-        lines.append(f"    fixed = ({quoted},)")
-    lines.append("    found_in_data = True")
-    if site.kind == DEVICE:
-        lines.append("    of_device = True")
-    lines += [
-        "    physics = (",
-        *_string(f"{sentence}; found in data, its cause is not known", 8),
-        "    )",
-        '    remedy = "find the cause; until then, keep the correction in the model"',
-        "    source = (",
-        *_string(found, 8),
-        "    )",
-        "",
-        "    def parameters(self, mechanism):",
-        "        return [",
-    ]
-    for c in coefficients:
-        value, sigma = values.get(c.name, (c.value, c.sigma))
-        if c.scanned:
-            size, nominal = abs(value) * RELATIVE_CONSTANT_TOLERANCE, repr(float(f"{value:.9g}"))
-        else:
-            # The usual size is as large as found, so that ten times that is plausible.
-            size, nominal = max(abs(value), 2 * (sigma or 0.0), 1e-300), "0.0"
-            spread = f" +- {sigma:.2g}" if sigma else ""
-            lines.append(f"            # found: {value:.4g}{spread} {c.unit}")
-        lines.append(f'            Parameter("{c.name}", "{c.unit}", {nominal}, {size:.3g}),')
-    if weighs:
-        lines.append("            *masses(mechanism),")
-    lines += ["        ]", "", "    def applies(self, mechanism):", *_applies(formula)]
-    lines += ["", "    def ideal(self, seen, e, at, mechanism):", *_ideal(formula)]
-    return "\n".join(lines) + "\n"
+    text = _EffectText(formula, values or {})
+    parts: dict[str, Iterable[str]] = {
+        "title": [fill(f"{sentence}. Found in data; its cause is not known.", WIDTH)],
+        "equation": [text.equation()],
+        "found": [fill(found, WIDTH)],
+        "imports": [*text.imports(), *text.stations_table()],
+        "docstring": [indent(f'"""{fill(sentence + ".", WIDTH - 8)}"""', " " * 4)],
+        "attributes": text.attributes(),
+        "physics": _string(f"{sentence}; found in data, its cause is not known", 8),
+        "source": _string(found, 8),
+        "parameters": text.parameters(),
+        "applies": text.applies(),
+        "ideal": text.ideal(),
+    }
+    return TEMPLATE.format(**{name: "\n".join(lines) for name, lines in parts.items()})
 
 
-def _write_stations(stations: Stations) -> Iterator[str]:
-    yield "# recording: rotation and shift (m) from {B} to the frame of the device"
-    yield "STATIONS = {"
-    for k, (turn, shift) in stations.by_recording.items():
-        yield f"    {k}: ("
-        yield from (f"        {np.round(row, 9).tolist()}," for row in turn)
-        yield f"        {np.round(shift, 9).tolist()},"
-        yield "    ),"
-    yield "}"
+@dataclass(frozen=True)
+class _EffectText:
+    """The lines of an effect file that follow from a formula.
 
+    `values` are coefficients and sigmas by name, in place of those of the formula.
+    """
 
-def _list_computed(formula: Formula) -> list[str]:
-    """The families of computed drivers that a formula uses."""
-    used = {formula.hypothesis.drivers[number][0].family for number in formula.used_drivers}
-    return [family for family in COMPUTED if family in used]
+    formula: Formula
+    values: Mapping[str, tuple[float, float | None]]
 
+    @property
+    def site(self) -> Site:
+        return self.formula.hypothesis.site
 
-def _equation(formula: Formula) -> str:
-    site = formula.hypothesis.site
-    words = {JOINT: "q", PLATFORM: "pose", BASE: "pose turned about {B}", DEVICE: "shown pose"}
-    name = words.get(site.kind, "length")
-    sign = "-" if site.kind in (PLATFORM, BASE, DEVICE) else "+"
-    members = ", ".join(place.name for place in site.members)
-    law = write_formula(formula)
-    return fill(_plain(f"ideal {name} = {name} {sign} ({law}), for {members}."), WIDTH)
+    @property
+    def stations(self) -> Stations | None:
+        return self.site.members[0].stations
+
+    @property
+    def computed(self) -> list[str]:
+        """The families of computed drivers that the formula uses."""
+        formula = self.formula
+        used = {formula.hypothesis.drivers[number][0].family for number in formula.used_drivers}
+        return [family for family in COMPUTED if family in used]
+
+    @property
+    def weighs(self) -> bool:
+        """Whether the masses of the robot are parameters, because it uses forces."""
+        return any(family in FORCES for family in self.computed)
+
+    def equation(self) -> str:
+        """The equation in words, for the docstring of the file."""
+        site = self.site
+        words = {JOINT: "q", PLATFORM: "pose", BASE: "pose turned about {B}", DEVICE: "shown pose"}
+        name = words.get(site.kind, "length")
+        sign = "-" if site.kind in (PLATFORM, BASE, DEVICE) else "+"
+        members = ", ".join(place.name for place in site.members)
+        law = write_formula(self.formula)
+        return fill(_plain(f"ideal {name} = {name} {sign} ({law}), for {members}."), WIDTH)
+
+    def imports(self) -> Iterator[str]:
+        """The imports of the package."""
+        yield "from parallel_cal import Effect, Parameter"
+        if self.site.kind in (PLATFORM, BASE, DEVICE):
+            yield "from parallel_cal.base.rotation import cayley"
+        if self.stations is not None:
+            yield "from parallel_cal.effects._frames import select_station"
+        functions = {name: set[str]() for name in ("_legs", "_lines", "_statics")}
+        functions["_statics"] |= {"masses"} if self.weighs else set()
+        for family in self.computed:
+            module, *names = COMPUTED[family]
+            functions[module] |= set(names)
+        if self.site.kind == ROD:
+            functions["_statics"] |= {"lengthen_rods", "needs_rods"}
+        for module, own in functions.items():
+            if own:
+                yield f"from parallel_cal.effects.{module} import {', '.join(sorted(own))}"
+
+    def stations_table(self) -> Iterator[str]:
+        """The frames of the device, if it stood elsewhere in each recording."""
+        if self.stations is None:
+            return
+        yield ""
+        yield "# recording: rotation and shift (m) from {B} to the frame of the device"
+        yield "STATIONS = {"
+        for k, (turn, shift) in self.stations.by_recording.items():
+            yield f"    {k}: ("
+            yield from (f"        {np.round(row, 9).tolist()}," for row in turn)
+            yield f"        {np.round(shift, 9).tolist()},"
+            yield "    ),"
+        yield "}"
+
+    def attributes(self) -> Iterator[str]:
+        """What the effect needs, what a fit does not identify, and where it belongs."""
+        drivers = self.formula.hypothesis.drivers
+        used = [drivers[number][0].needs for number in self.formula.used_drivers]
+        needs = [*filter(None, used), *(["session"] if self.stations is not None else [])]
+        scanned = [c.name for c in list_coefficients(self.formula) if c.scanned]
+        fixed = [*scanned, *(["mass.*"] if self.weighs else [])]
+        for name, words in (("needs", dict.fromkeys(needs)), ("fixed", fixed)):
+            if words:
+                quoted = ", ".join(f'"{word}"' for word in words)
+                yield f"    {name} = ({quoted},)"
+        yield "    found_in_data = True"
+        if self.site.kind == DEVICE:
+            yield "    of_device = True"
+
+    def parameters(self) -> Iterator[str]:
+        """The parameters: what was found, then name, unit, nominal value and tolerance."""
+        for c in list_coefficients(self.formula):
+            value, sigma = self.values.get(c.name, (c.value, c.sigma))
+            if c.scanned:
+                size = abs(value) * RELATIVE_CONSTANT_TOLERANCE
+                nominal = repr(float(f"{value:.9g}"))
+            else:
+                # The usual size is as large as found, so that ten times that is plausible.
+                size, nominal = max(abs(value), 2 * (sigma or 0.0), 1e-300), "0.0"
+                spread = f" +- {sigma:.2g}" if sigma else ""
+                yield f"            # found: {value:.4g}{spread} {c.unit}"
+            yield f'            Parameter("{c.name}", "{c.unit}", {nominal}, {size:.3g}),'
+        if self.weighs:
+            yield "            *masses(mechanism),"
+
+    def applies(self) -> Iterator[str]:
+        """The body of `applies`: what the mechanism must have."""
+        site = self.site
+        joints = [place.name for place in site.members if place.kind == JOINT]
+        lengths = [place.name for place in site.members if place.kind == PARAMETER]
+        needed = ", ".join(json.dumps(name) for name in (*joints, *lengths))
+        if needed:
+            known = "{*mechanism.joints, *mechanism.parameters.names}"
+            yield f"        missing = {{{needed}}} - {known}"
+            yield "        if missing:"
+            yield "            return f\"it has no {', '.join(sorted(missing))}\""
+        needs = [f"{COMPUTED[family][2]}(mechanism)" for family in self.computed]
+        if site.kind == ROD:
+            needs = list(dict.fromkeys([*needs, "needs_rods(mechanism)"]))
+        yield f"        return {' or '.join(needs) or json.dumps('')}"
+
+    def ideal(self) -> Iterator[str]:
+        """The body of `ideal`: the quantities, the error of each member, the corrected input."""
+        formula, hypothesis, site = self.formula, self.formula.hypothesis, self.site
+        for family in self.computed:
+            yield f"        {family} = {COMPUTED[family][1]}(seen, e, at, mechanism)"
+        start = {
+            JOINT: "q = ca.vertsplit(seen.q)",
+            PARAMETER: "changed = {}",
+            ROD: "longer = [0.0] * len(mechanism.rod_lengths(seen.p))",
+            PLATFORM: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
+            DEVICE: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
+            BASE: "turn = [0.0, 0.0, 0.0]",
+        }
+        if any(hypothesis.drivers[k][0].family == MOMENT for k in formula.used_drivers):
+            yield "        moment = ca.cross(seen.r, at.payload * ca.DM(mechanism.gravity))"
+        yield f"        {start[site.kind]}"
+        if self.stations is not None:
+            yield "        to_device, origin = select_station(STATIONS, at.session)"
+            yield "        shown = to_device @ seen.r + origin"
+        known: set[str] = set()
+        for m, place in enumerate(site.members):
+            variables = []
+            for number, own in enumerate(hypothesis.drivers):
+                driver = own[m]
+                variables.append(f"{_identifier(driver.name)}_value")  # unlike any input's name
+                if number in formula.used_drivers and variables[-1] not in known:
+                    known.add(variables[-1])
+                    less = f" - {driver.zero!r}" if driver.zero else ""
+                    yield f"        {variables[-1]} = {driver.code}{less}"
+            words = _term_names(formula)
+            if site.each:
+                words = [f"{member_name(place)}_{word}" for word in words]
+            error = _sum(formula, words, variables, "ca.")
+            yield from _assign(place, error)
+        end = {
+            JOINT: "return seen.with_q(ca.vertcat(*q))",
+            PARAMETER: "return seen.with_p(changed)",
+            ROD: "return lengthen_rods(seen, mechanism, ca.vertcat(*longer))",
+            PLATFORM: "return seen.with_pose(seen.r - ca.vertcat(*shift), "
+            "cayley(ca.vertcat(*turn)).T @ seen.R)",
+            BASE: "back = cayley(ca.vertcat(*turn)).T\n"
+            "        return seen.with_pose(back @ seen.r, back @ seen.R)",
+        }
+        if self.stations is not None:  # from the axes of the device to those of {B}
+            end[DEVICE] = (
+                "return seen.with_pose(seen.r - to_device.T @ ca.vertcat(*shift), "
+                "\n            cayley(to_device.T @ ca.vertcat(*turn)).T @ seen.R)"
+            )
+        yield f"        {end[PLATFORM if site.kind == DEVICE and DEVICE not in end else site.kind]}"
 
 
 def _string(text: str, spaces: int) -> Iterator[str]:
@@ -273,71 +388,6 @@ def _string(text: str, spaces: int) -> Iterator[str]:
     for k, line in enumerate(words):
         space = " " if k < len(words) - 1 else ""
         yield f'{" " * spaces}"{line}{space}"'
-
-
-def _applies(formula: Formula) -> Iterator[str]:
-    site = formula.hypothesis.site
-    joints = [place.name for place in site.members if place.kind == JOINT]
-    lengths = [place.name for place in site.members if place.kind == PARAMETER]
-    needed = ", ".join(json.dumps(name) for name in (*joints, *lengths))
-    if needed:
-        yield f"        missing = {{{needed}}} - {{*mechanism.joints, *mechanism.parameters.names}}"
-        yield "        if missing:"
-        yield "            return f\"it has no {', '.join(sorted(missing))}\""
-    needs = [f"{COMPUTED[family][2]}(mechanism)" for family in _list_computed(formula)]
-    if site.kind == ROD:
-        needs = list(dict.fromkeys([*needs, "needs_rods(mechanism)"]))
-    yield f"        return {' or '.join(needs) or json.dumps('')}"
-
-
-def _ideal(formula: Formula) -> Iterator[str]:
-    site, hypothesis = formula.hypothesis.site, formula.hypothesis
-    for family in _list_computed(formula):
-        yield f"        {family} = {COMPUTED[family][1]}(seen, e, at, mechanism)"
-    start = {
-        JOINT: "q = ca.vertsplit(seen.q)",
-        PARAMETER: "changed = {}",
-        ROD: "longer = [0.0] * len(mechanism.rod_lengths(seen.p))",
-        PLATFORM: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
-        DEVICE: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
-        BASE: "turn = [0.0, 0.0, 0.0]",
-    }
-    if any(formula.hypothesis.drivers[k][0].family == MOMENT for k in formula.used_drivers):
-        yield "        moment = ca.cross(seen.r, at.payload * ca.DM(mechanism.gravity))"
-    yield f"        {start[site.kind]}"
-    if site.members[0].stations is not None:
-        yield "        to_device, origin = select_station(STATIONS, at.session)"
-        yield "        shown = to_device @ seen.r + origin"
-    known: set[str] = set()
-    for m, place in enumerate(site.members):
-        variables = []
-        for number, own in enumerate(hypothesis.drivers):
-            driver = own[m]
-            variables.append(f"{_identifier(driver.name)}_value")  # unlike any input's name
-            if number in formula.used_drivers and variables[-1] not in known:
-                known.add(variables[-1])
-                less = f" - {driver.zero!r}" if driver.zero else ""
-                yield f"        {variables[-1]} = {driver.code}{less}"
-        words = _term_names(formula)
-        if site.each:
-            words = [f"{member_name(place)}_{word}" for word in words]
-        error = _sum(formula, words, variables, "ca.")
-        yield from _assign(place, error)
-    end = {
-        JOINT: "return seen.with_q(ca.vertcat(*q))",
-        PARAMETER: "return seen.with_p(changed)",
-        ROD: "return lengthen_rods(seen, mechanism, ca.vertcat(*longer))",
-        PLATFORM: "return seen.with_pose(seen.r - ca.vertcat(*shift), "
-        "cayley(ca.vertcat(*turn)).T @ seen.R)",
-        BASE: "back = cayley(ca.vertcat(*turn)).T\n"
-        "        return seen.with_pose(back @ seen.r, back @ seen.R)",
-    }
-    if site.members[0].stations is not None:  # from the axes of the device to those of {B}
-        end[DEVICE] = (
-            "return seen.with_pose(seen.r - to_device.T @ ca.vertcat(*shift), "
-            "\n            cayley(to_device.T @ ca.vertcat(*turn)).T @ seen.R)"
-        )
-    yield f"        {end[PLATFORM if site.kind == DEVICE and DEVICE not in end else site.kind]}"
 
 
 def _assign(place: Place, error: str) -> Iterator[str]:

@@ -12,8 +12,9 @@ import numpy as np
 
 from parallel_cal.base.parallel import Runner, run_on_cores, running
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
-from parallel_cal.discovery.formula import Formula, build_columns, find_formula
+from parallel_cal.discovery.formula import Formula, build_columns
 from parallel_cal.discovery.screening import Hypothesis, Targets
+from parallel_cal.discovery.selection import find_formula
 
 FOLDS = 4
 MIN_SHARE_OF_DIRECTION = 0.05  # of a direction of the model that the samples of a fold determine

@@ -119,16 +119,7 @@ def _prove(
         rival = write_effect(one, describe_law(one.hypothesis), where)
         rivals.setdefault(name_law(one.hypothesis), rival)
     of_device = hypothesis.site.kind == DEVICE
-    against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
-    device_may_err = step.acceptance.device_may_err
-    if not against:
-        against = _explain_device(winner)
-        device_may_err = bool(against)
-    if not against and not choice.is_clear:
-        against = (
-            "if its form and its constants are chosen without the held-out poses, the error there "
-            "falls by no more than its own uncertainty"
-        )
+    against, device_may_err = _find_objection(winner, choice, step, name)
     law = Law(
         place=name_place(hypothesis),
         drivers=hypothesis.families,
@@ -153,6 +144,24 @@ def _prove(
         rivals=rivals,
     )
     return law, step, after
+
+
+def _find_objection(winner: Winner, choice: Choice, step: Step, name: str) -> tuple[str, bool]:
+    """Return why a law is not proven, empty if it is, and whether the device may cause the error.
+
+    `name` is that of its effect in the `step` that added it.
+    """
+    if against := step.acceptance.against:
+        words = against.replace(f" with '{name}'", "").replace(name, "it")
+        return words, step.acceptance.device_may_err
+    against = _explain_device(winner)
+    device_may_err = bool(against)
+    if not against and not choice.is_clear:
+        against = (
+            "if its form and its constants are chosen without the held-out poses, the error there "
+            "falls by no more than its own uncertainty"
+        )
+    return against, device_may_err
 
 
 def _explain_device(winner: Winner) -> str:

@@ -19,12 +19,15 @@ from parallel_cal.base.parallel import Runner, run_on_cores, running
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (
+    AXIS,
     INCLINATION,
     LAGGED,
     NEXT,
+    OWNERS,
     PLACES,
     PREVIOUS,
     READING,
+    ROBOT,
     Driver,
 )
 from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
@@ -131,7 +134,7 @@ class Screening:
     def __init__(self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver]) -> None:
         self._sites, self._drivers = sites, drivers
         # Where the device stood elsewhere, too, what moves the platform may be the robot's.
-        self._has_stations = any(one.shown for one in drivers)
+        self._has_stations = any(one.owner == DEVICE for one in drivers)
         # Bases, which sites share, and products of columns, which all residuals share.
         self._known: dict[tuple[Any, ...], np.ndarray] = {}
         self._n, self._n_joints = len(scene.x), len(scene.model.joints)
@@ -231,16 +234,14 @@ class Screening:
         """Drivers that each member may depend on: those of its own joint, those of all joints for
         a single place, and those of the whole robot."""
         n = len(site.members)
-        whole = [one for one in self._drivers if one.is_common]
-        common = [one for one in whole if not one.shown]
-        own = [one for one in self._drivers if one.joint is not None]
-        of_rods = [one for one in self._drivers if one.rod is not None]
+        by_owner = {kind: [one for one in self._drivers if one.owner == kind] for kind in OWNERS}
+        common, own, of_rods = by_owner[ROBOT], by_owner[JOINT], by_owner[ROD]
         if site.kind == DEVICE:
-            shown = [one for one in whole if one.shown]
+            shown = by_owner[DEVICE]
             known = [one for one in common if one.family not in PLACES] if shown else common
             return [(one,) * n for one in (*shown, *known) if one.family in OF_DEVICE]
         if site.kind == BASE:
-            by_axis = {one.axis: one for one in self._drivers if one.axis is not None}
+            by_axis = {one.index: one for one in by_owner[AXIS]}
             moments = [by_axis.get(place.index - 3) for place in site.members]
             of_axes = tuple(one for one in moments if one is not None)
             by_moment = [of_axes] if len(of_axes) == n else []
@@ -249,7 +250,9 @@ class Screening:
             moved = [one for one in own if one.family not in (READING, INCLINATION)]
             return [(one,) * n for one in (*moved, *common)]
         if site.kind == ROD:
-            by_rod = {(one.family, one.rod): one for one in of_rods}
+            by_rod: dict[tuple[str, int | None], Driver] = {
+                (one.family, one.index): one for one in of_rods
+            }
             of_members = [
                 tuple(by_rod[family, place.rod] for place in site.members)
                 for family in dict.fromkeys(one.family for one in of_rods)
@@ -260,7 +263,7 @@ class Screening:
             joint = site.members[0].joint
             able = [one for one in own if one.family != INCLINATION or one.joint == joint]
             return [(one,) for one in (*able, *common)]
-        by_joint: dict[tuple[str, int], Driver] = {(d.family, int(d.joint or 0)): d for d in own}
+        by_joint: dict[tuple[str, int], Driver] = {(d.family, d.index): d for d in own}
         families = dict.fromkeys(one.family for one in own)
         joints = [place.joint for place in site.members]
         sets: list[DriverSet] = []

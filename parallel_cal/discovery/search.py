@@ -15,11 +15,12 @@ from parallel_cal.discovery.drivers import (
     LAGGED,
     Driver,
 )
-from parallel_cal.discovery.formula import Formula, find_formula
+from parallel_cal.discovery.formula import Formula
 from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
 from parallel_cal.discovery.parts import Part, Parts, find_parts
 from parallel_cal.discovery.places import DEVICE
 from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
+from parallel_cal.discovery.selection import find_formula
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
     MAX_EQUAL_EVIDENCE,

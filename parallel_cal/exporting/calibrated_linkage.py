@@ -31,27 +31,39 @@ ROUNDING_TOLERANCE = 1e-13  # m or 1; a number that changes by less stays as it 
 
 
 @dataclass
+class Changes:
+    """New places in a file: frames of joints (child in parent) and anchors of balls by joint, and
+    ends of loops.
+
+    `halves` are the shifts of halves of rods, by body. In a file of which a body has the frame of
+    its joint, `shifts` has how far a ball moved in its second body, by body. `target` is the frame
+    of {P} in the body of the file that carries it, if it moved.
+    """
+
+    origins: dict[str, Array] = field(default_factory=dict)
+    anchors: dict[str, Array] = field(default_factory=dict)
+    ends: dict[tuple[str, str], Array] = field(default_factory=dict)
+    halves: dict[str, Array] = field(default_factory=dict)
+    shifts: dict[str, Array] = field(default_factory=dict)
+    target: Array | None = None
+
+
+@dataclass
 class Calibrated:
-    """New frames of a file: of joints (child in parent, by name) and of ends of loops.
+    """The linkage of a file, and what its calibration changes.
 
     `between` is the linkage between base and platform with the identified numbers, `at` has the
-    joined body of every body, and `halves` the shifts of halves of rods, by body. `target` is the
-    frame of {P} in the body of the file that carries it. In a file of which a body has the frame of
-    its joint (`at_joints`), `shifts` has how far a ball moved in its second body, by body.
+    joined body of every body. `at_joints` says whether each body of the file has the frame of its
+    joint.
     """
 
     linkage: Linkage
     between: Linkage
     at: dict[str, Place]
-    halves: dict[str, Array]
     base: str
     platform: Place
     at_joints: bool = False
-    shifts: dict[str, Array] = field(default_factory=dict)
-    origins: dict[str, Array] = field(default_factory=dict)
-    anchors: dict[str, Array] = field(default_factory=dict)
-    ends: dict[tuple[str, str], Array] = field(default_factory=dict)
-    target: Array | None = None
+    changes: Changes = field(default_factory=Changes)
     remarks: list[str] = field(default_factory=list)
 
     def joint(self, name: str) -> LinkageJoint:
@@ -76,7 +88,7 @@ def calibrated_linkage(model: Model, files: Sequence[Path], at_joints: bool = Fa
         )
     base, end = (model.frames[name] for name in ("base", "platform"))
     linkage, between, place = match_model(read_linkage(files), model)
-    found = Calibrated(linkage, between, joined_bodies(linkage, base), {}, base, place, at_joints)
+    found = Calibrated(linkage, between, joined_bodies(linkage, base), base, place, at_joints)
     joints = [identified_joint(model, joint) for joint in between.joints]
     loops = [identified_loop(model, loop) for loop in between.loops]
     found.between = replace(between, joints=tuple(joints), loops=tuple(loops))
@@ -95,7 +107,7 @@ def calibrated_linkage(model: Model, files: Sequence[Path], at_joints: bool = Fa
     target = identified_target(model, place.frame)
     if np.abs(target - place.frame).max() > ROUNDING_TOLERANCE:
         own = linkage.frames[end]
-        found.target = np.linalg.solve(found.at[own.body].frame, target)
+        found.changes.target = np.linalg.solve(found.at[own.body].frame, target)
     return found
 
 
@@ -194,7 +206,7 @@ def _set_joint(found: Calibrated, joint: LinkageJoint, moved: Array) -> None:
         )
     own = found.joint(first.name)
     a, b = found.at[own.parent].frame, found.at[own.child].frame
-    found.origins[own.name] = np.linalg.solve(a, moved @ first.origin @ b)
+    found.changes.origins[own.name] = np.linalg.solve(a, moved @ first.origin @ b)
 
 
 def _set_end(found: Calibrated, name: str, side: str, frame: Array) -> None:
@@ -203,7 +215,7 @@ def _set_end(found: Calibrated, name: str, side: str, frame: Array) -> None:
     end = getattr(loop, side)
     new = np.linalg.solve(found.at[end.body].frame, frame)
     if np.abs(new - end.frame).max() > ROUNDING_TOLERANCE:
-        found.ends[loop.name, side] = new
+        found.changes.ends[loop.name, side] = new
 
 
 def set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
@@ -263,13 +275,13 @@ def stretch_rod(found: Calibrated, rod: Rod, longer: Array) -> bool:
         if second in side or not side & {a, b}:
             continue
         frame, bodies = found.at[a].frame, {body for other in edges for body in other[1:]}
-        found.halves |= dict.fromkeys(bodies - side, longer)
+        found.changes.halves |= dict.fromkeys(bodies - side, longer)
         if isinstance(one, LinkageLoop):
             key, end = ("a", one.a) if a in side else ("b", one.b)
             _set_end(found, one.name, key, shift @ found.at[end.body].frame @ end.frame)
         else:
             moved = shift if a in side else np.linalg.inv(shift)
-            found.origins[one.name] = np.linalg.solve(frame, moved @ frame @ one.origin)
+            found.changes.origins[one.name] = np.linalg.solve(frame, moved @ frame @ one.origin)
         return True
     return False
 
@@ -292,7 +304,7 @@ def _move_ball(found: Calibrated, ball: LinkageJoint, in_parent: Array, in_child
     last = (ball.parts or (ball,))[-1]
     own = found.joint(last.name)
     if found.at_joints and last.child == ball.child and own.child != found.base:
-        found.shifts[own.child] = found.at[own.child].frame[:3, :3].T @ in_child
+        found.changes.shifts[own.child] = found.at[own.child].frame[:3, :3].T @ in_child
         return _set_joint(found, ball, motion_of("P", in_parent, 1.0))
     if ball.parts:
         raise ModelError(
@@ -300,7 +312,7 @@ def _move_ball(found: Calibrated, ball: LinkageJoint, in_parent: Array, in_child
             "ball whose point on its second body is not a number of the file"
         )
     turn = found.at[own.child].frame[:3, :3]
-    found.anchors[own.name] = own.anchor + turn.T @ in_child
+    found.changes.anchors[own.name] = own.anchor + turn.T @ in_child
     moved = motion_of("P", in_parent, 1.0) @ ball.origin @ motion_of("P", -in_child, 1.0)
     _set_joint(found, ball, moved @ np.linalg.inv(ball.origin))
     return None
@@ -313,10 +325,10 @@ def _point(vector: Array) -> Array:
 def describe_changes(found: Calibrated) -> list[str]:
     """Say how many joints and ends of loops changed, and by how much."""
     moved = {}
-    for name, origin in found.origins.items():
+    for name, origin in found.changes.origins.items():
         old = next(joint for joint in found.linkage.joints if joint.name == name).origin
         moved[name] = np.linalg.solve(old, origin)
-    for (name, side), frame in found.ends.items():
+    for (name, side), frame in found.changes.ends.items():
         end = getattr(next(loop for loop in found.linkage.loops if loop.name == name), side)
         moved[f"{name} on {end.body}"] = np.linalg.solve(end.frame, frame)
     if not moved:
@@ -332,9 +344,9 @@ def describe_changes(found: Calibrated) -> list[str]:
 
 def describe_target(found: Calibrated, body: str, place: str) -> str:
     """Say where the target is if the file has no place for it."""
-    assert found.target is not None
-    x, y, z = found.target[:3, 3]
-    angle = np.degrees(np.linalg.norm(rotation_vector(found.target[:3, :3])))
+    assert found.changes.target is not None
+    x, y, z = found.changes.target[:3, 3]
+    angle = np.degrees(np.linalg.norm(rotation_vector(found.changes.target[:3, :3])))
     return (
         f"the target is at {x:.6g} {y:.6g} {z:.6g} m in the frame of {body}, turned by "
         f"{angle:.4g} deg, which was not written: name {place} with --platform to have it written"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -21,8 +21,35 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
+class LinkMotions:
+    """How n joints of a URDF move their links, as arrays with one row for each joint.
+
+    Joint i is at `origins[i]` (m) and `turned[i]` in its parent. Its value is `factors[i]` times
+    the readings of driven and passive joints, plus `offsets[i]` (rad or m).
+    """
+
+    origins: np.ndarray = field(repr=False)  # (n, 3) m
+    turned: np.ndarray = field(repr=False)  # (n, 3, 3)
+    turns: np.ndarray = field(repr=False)  # (n, 3): the axis of a joint that turns, or 0
+    slides: np.ndarray = field(repr=False)  # (n, 3): the axis of a joint that slides, or 0
+    factors: np.ndarray = field(repr=False)  # (n, nq + number of passive joints)
+    offsets: np.ndarray = field(repr=False)  # (n,) rad or m
+
+    def place(self, readings: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the position (n, 3) m and the rotation (n, 3, 3) of each link in its parent."""
+        values = self.factors @ readings + self.offsets
+        position = self.origins + np.einsum(
+            "nij,nj->ni", self.turned, self.slides * values[:, None]
+        )
+        half = 0.5 * values[:, None]
+        turn = np.hstack([np.sin(half) * self.turns, np.cos(half)])
+        turn[~self.turns.any(axis=1)] = (0.0, 0.0, 0.0, 1.0)
+        return position, self.turned @ quaternion_to_matrix(turn)
+
+
+@dataclass(frozen=True)
 class Description:
-    """The URDF of a model, and its joints as arrays, one row for each of n joints.
+    """The URDF of a model, and how its joints move its links.
 
     Attributes
     ----------
@@ -32,6 +59,8 @@ class Description:
         The links of the URDF of a robot with loops; None for a serial arm.
     parents, children : tuple of str
         The links that each joint connects.
+    motions : LinkMotions
+        What each joint does.
     """
 
     model: Model
@@ -39,12 +68,7 @@ class Description:
     tree: Tree | None
     parents: tuple[str, ...]
     children: tuple[str, ...]
-    _origins: np.ndarray = field(repr=False)  # (n, 3) m
-    _turned: np.ndarray = field(repr=False)  # (n, 3, 3)
-    _turns: np.ndarray = field(repr=False)  # (n, 3): the axis of a joint that turns, or 0
-    _slides: np.ndarray = field(repr=False)  # (n, 3): the axis of a joint that slides, or 0
-    _factors: np.ndarray = field(repr=False)  # (n, nq + number of passive joints)
-    _offsets: np.ndarray = field(repr=False)  # (n,) rad or m
+    motions: LinkMotions
 
     def transforms(
         self, configuration: np.ndarray, at: Mapping[str, Any] | None = None
@@ -63,14 +87,7 @@ class Description:
         """
         x = self._actual(configuration, at)
         passive = np.zeros(0) if self.tree is None else self.tree.values(x)
-        values = self._factors @ [*x[: len(self.model.joints)], *passive] + self._offsets
-        position = self._origins + np.einsum(
-            "nij,nj->ni", self._turned, self._slides * values[:, None]
-        )
-        half = 0.5 * values[:, None]
-        turn = np.hstack([np.sin(half) * self._turns, np.cos(half)])
-        turn[~self._turns.any(axis=1)] = (0.0, 0.0, 0.0, 1.0)
-        rotation = self._turned @ quaternion_to_matrix(turn)
+        position, rotation = self.motions.place([*x[: len(self.model.joints)], *passive])
         if self.tree is None:
             self._place_platform(position, rotation, x)
         return position, matrix_to_quaternion(rotation)
@@ -118,18 +135,21 @@ def describe(model: Model) -> Description:
         row[order[joint.name]] = 1.0
     turns = np.array([joint.turns for joint in tree.joints])[:, None]
     axes = np.array([joint.axis for joint in tree.joints])
+    motions = LinkMotions(
+        origins=np.array([joint.origin for joint in tree.joints]),
+        turned=np.tile(np.eye(3), (len(tree.joints), 1, 1)),
+        turns=axes * turns,
+        slides=axes * ~turns,
+        factors=factors,
+        offsets=np.zeros(len(tree.joints)),
+    )
     return Description(
         model,
         urdf_text(model, name, tree),
         tree,
         tuple(joint.parent for joint in tree.joints),
         tuple(joint.child for joint in tree.joints),
-        np.array([joint.origin for joint in tree.joints]),
-        np.tile(np.eye(3), (len(tree.joints), 1, 1)),
-        axes * turns,
-        axes * ~turns,
-        factors,
-        np.zeros(len(tree.joints)),
+        motions,
     )
 
 
@@ -144,16 +164,19 @@ def _describe_arm(model: Model, name: str) -> Description:
             row[readings.index(joint.name)] = 1.0
     kinds = np.array([joint.kind or "" for joint in joints])[:, None]
     origins = np.array([joint.origin for joint in joints])
+    motions = LinkMotions(
+        origins=origins[:, :3, 3],
+        turned=origins[:, :3, :3],
+        turns=(kinds == "R") * Z,
+        slides=(kinds == "P") * Z,
+        factors=factors,
+        offsets=offsets,
+    )
     return Description(
         model,
         urdf_text(model, name, None),
         None,
         tuple(joint.parent for joint in joints),
         tuple(joint.child for joint in joints),
-        origins[:, :3, 3],
-        origins[:, :3, :3],
-        (kinds == "R") * Z,
-        (kinds == "P") * Z,
-        factors,
-        offsets,
+        motions,
     )

@@ -79,7 +79,7 @@ def rod_poses(found: Calibrated, loop: LinkageLoop, frames: dict[str, Array]) ->
     if slide is not None:
         own = found.joint(slide.name)
         a, b = found.at[own.parent].frame, found.at[own.child].frame
-        bodies[slide.child] = a @ found.origins.get(own.name, own.origin) @ np.linalg.inv(b)
+        bodies[slide.child] = a @ found.changes.origins.get(own.name, own.origin) @ np.linalg.inv(b)
     first, last = rod.points[0], (list(bodies.values())[-1] @ [*rod.points[1], 1.0])[:3]
     drawn = drawn_pose(found, next(iter(bodies)))
     base = np.linalg.solve(found.between.poses[found.base], drawn)
@@ -91,7 +91,7 @@ def rod_poses(found: Calibrated, loop: LinkageLoop, frames: dict[str, Array]) ->
     for body, place in found.at.items():
         if place.body in bodies:
             shifted = place.frame.copy()
-            shifted[:3, 3] += found.halves.get(body, np.zeros(3))
+            shifted[:3, 3] += found.changes.halves.get(body, np.zeros(3))
             poses[body] = pose @ bodies[place.body] @ shifted
     return poses
 

@@ -192,22 +192,7 @@ def export_into(
         present = Present(with_scale_of(found.firmware, now, steps.mean(axis=0)), touches)
         if _takes(module, "present"):
             projection, found = _project(target, module, robot, stated, present)
-    groups = list[tuple[dict[str, str], list[Path]]]()
-    cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
-    for file, numbers in projection.settings.items():
-        its = [path for path in files if path.suffix == Path(file).suffix]
-        if len(projection.settings) == 1:
-            its = list(files)
-        if not its:
-            raise ModelError(
-                f"{target}: some numbers belong in {Path(file).name}: pass that file with "
-                "--into as well"
-            )
-        if hasattr(module, "adapt"):
-            numbers = module.adapt(stated, numbers)
-        groups.append(({**numbers, **dict.fromkeys(cleared, "0")}, its))
-        cleared = []
-    _check_files_are_given(files, stated, [numbers for numbers, _ in groups])
+    groups = _distribute_numbers(target, module, files, stated, projection)
     texts, firmware = _edit(module, replace(stated, paths=files), groups, robot)
     if are_equal(now, firmware):  # the files may state these numbers in other words
         texts = {path: read_verbatim(path) for path in files}
@@ -230,11 +215,34 @@ def export_into(
     return ExportResult(list(texts), after, before, remarks, heights, movement)
 
 
-def _check_files_are_given(
-    files: Sequence[Path], stated: Settings, groups: Sequence[Mapping[str, str]]
-) -> None:
-    """Refuse new numbers that a file overrides which was not given."""
-    for name, value in (pair for numbers in groups for pair in numbers.items()):
+def _distribute_numbers(
+    target: str,
+    module: ModuleType,
+    files: Sequence[Path],
+    stated: Settings,
+    projection: Projection,
+) -> list[tuple[dict[str, str], list[Path]]]:
+    """Return the new numbers, each with the files that may state it.
+
+    ModelError if a file is missing among those that were given: one in which numbers belong, or one
+    that overrides a number.
+    """
+    groups = list[tuple[dict[str, str], list[Path]]]()
+    cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
+    for file, numbers in projection.settings.items():
+        its = [path for path in files if path.suffix == Path(file).suffix]
+        if len(projection.settings) == 1:
+            its = list(files)
+        if not its:
+            raise ModelError(
+                f"{target}: some numbers belong in {Path(file).name}: pass that file with "
+                "--into as well"
+            )
+        if hasattr(module, "adapt"):
+            numbers = module.adapt(stated, numbers)
+        groups.append(({**numbers, **dict.fromkeys(cleared, "0")}, its))
+        cleared = []
+    for name, value in (pair for numbers, _ in groups for pair in numbers.items()):
         text, place = stated.texts.get(name, (value, None))
         if place is None or place.path in files or are_same_numbers(text, value):
             continue
@@ -244,6 +252,7 @@ def _check_files_are_given(
             f"with {files[0]}, and this value is the one that counts. Nothing was written: {given} "
             "changes it there"
         )
+    return groups
 
 
 def _edit(

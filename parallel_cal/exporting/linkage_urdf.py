@@ -35,15 +35,15 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
     text = read_verbatim(path)
     root = parse_xml(path, text, "URDF")
     elements = {one.get("name"): one for one in root.all("joint", "constraint")}
-    if found.anchors:
-        name = next(iter(found.anchors))
+    if found.changes.anchors:
+        name = next(iter(found.changes.anchors))
         raise ModelError(
             f"{elements[name].where}: the point of this joint moved in its child link, for which a "
             "URDF has no number: the frame of the child is that of the joint"
         )
-    placed, edit, remarks = dict(found.origins), XmlEdit(), describe_changes(found)
+    placed, edit, remarks = dict(found.changes.origins), XmlEdit(), describe_changes(found)
     frames: dict[str, Array] = {}  # link -> its frame in the one that the file states
-    for (name, side), frame in found.ends.items():
+    for (name, side), frame in found.changes.ends.items():
         if name in elements:
             tag = "parent_origin" if side == "a" else "child_origin"
             set_origin(edit, elements[name], tag, frame)
@@ -52,7 +52,7 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
         if np.abs(frames.setdefault(link, frame) - frame).max() > ROUNDING_TOLERANCE:
             raise ModelError(f"{path}: '{link}' is the end of two loops, which have moved apart")
     end = found.linkage.frames[model.frames["platform"]].body
-    target = np.eye(4) if found.target is None else found.target
+    target = np.eye(4) if found.changes.target is None else found.changes.target
     loops = [loop for loop in found.linkage.loops if loop.name not in elements]
     is_end = any(end in (loop.a.body, loop.b.body) for loop in loops)
     at_end = frames.get(end, np.eye(4) if is_end else target)
@@ -62,10 +62,10 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
             f"{path}: '{end}' is the platform and the end of a loop, which are {apart:.3g} mm "
             "apart now: give the platform a link of its own with a fixed joint"
         )
-    if end in found.shifts:
-        found.target = motion_of("P", -found.shifts[end], 1.0) @ target
-    if found.target is not None:
-        frames[end] = found.target
+    if end in found.changes.shifts:
+        found.changes.target = motion_of("P", -found.changes.shifts[end], 1.0) @ target
+    if found.changes.target is not None:
+        frames[end] = found.changes.target
     for link, frame in frames.items():
         holder = _fixed_joint(root, link)
         if holder is None and link == end:
@@ -78,7 +78,7 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
         else:
             joint = holder.get("name")
             placed[joint] = placed.get(joint, read_origin(holder.find("origin"))) @ frame
-    for link, shift in found.shifts.items():
+    for link, shift in found.changes.shifts.items():
         place_around(found.linkage, link, shift, placed)
     for name, origin in placed.items():
         element = elements[name]

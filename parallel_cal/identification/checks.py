@@ -155,25 +155,14 @@ def check_plausible(
         if is_geometry[i]:
             found = _describe_place(p, value)
             if usual_only or scale is not None or not p.low <= value <= p.high:
-                scaled = "" if scale is None else f"{describe_scale_of_lengths(scale)}; "
-                raise ImplausibleGeometryError(
-                    f"{found} (plausible {least:.6g} to {most:.6g}; chi2/dof "
-                    f"{estimate.chi2_per_dof:.3g}): {scaled}check units and mechanism, fix the "
-                    "parameter, use priors (fit --prior), or correct nominal and tolerance in the "
-                    "model file"
-                )
+                raise _refuse_geometry(p, found, scale, estimate.chi2_per_dof)
             tolerances[p.name] = 1.2 * abs(value - p.nominal) / MAX_TOLERANCES
             usual_tolerances.setdefault(p.name, p.tolerance)
             far[found] = abs(value - p.nominal) / p.tolerance
             continue
         bound = least if value < low[i] else most
         if bound == p.nominal:
-            side = "negative" if value < p.nominal else "positive"
-            raise WrongSignError(
-                f"{p.name} would have to be {_show(p, value)}, but its physics allows no {side} "
-                f"value: {_advise_on_sign(model, p)}",
-                p.name.split(".")[0],
-            )
+            raise _refuse_sign(model, p, value)
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
         usual_tolerances.setdefault(p.name, p.tolerance)
         unusual[p.name] = UnusualSize.of(p, value)
@@ -194,18 +183,36 @@ def check_plausible(
             f"{words}; nothing was identified, because only usual sizes were asked for: omit "
             "--usual-only, or state the machine's class or the effect's tolerance in the model file"
         )
-    # Values are impossible together only if those nearest to nominal, within three sigmas of the
-    # estimate, are so, too.
-    away = model.values - model.table.nominal
-    slack = np.where(free, RANGE_MARGIN_SIGMAS * estimate.sigma, 0.0)
-    nearest = model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0)
-    if why := model.with_values(nearest).find_contradiction():
+    if why := _find_contradiction(model, free, estimate.sigma):
         if not insist:
             raise ContradictionError(why)
         accepted.append(f"{why}: accepted because of --force (in Python: insist)")
     raised = replace(model, tolerances=tolerances, usual_tolerances=usual_tolerances)
     implausible = "" if leaves_noise else _describe_imitation(far, estimate.chi2_per_dof)
     return raised, unusual, implausible, accepted
+
+
+def _refuse_geometry(
+    p: Parameter, found: str, scale: float | None, chi2_per_dof: float
+) -> ImplausibleGeometryError:
+    """Return the error for a dimension that was `found` out of its range; `scale` is the factor
+    that all lengths share, if they do."""
+    least, most = p.plausible_range()
+    scaled = "" if scale is None else f"{describe_scale_of_lengths(scale)}; "
+    return ImplausibleGeometryError(
+        f"{found} (plausible {least:.6g} to {most:.6g}; chi2/dof {chi2_per_dof:.3g}): {scaled}"
+        "check units and mechanism, fix the parameter, use priors (fit --prior), or correct "
+        "nominal and tolerance in the model file"
+    )
+
+
+def _find_contradiction(model: Model, free: np.ndarray, sigma: np.ndarray) -> str:
+    """Say why values are impossible together; empty if those nearest to nominal, within three
+    sigmas of the estimate, are possible."""
+    away = model.values - model.table.nominal
+    slack = np.where(free, RANGE_MARGIN_SIGMAS * sigma, 0.0)
+    nearest = model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0)
+    return model.with_values(nearest).find_contradiction()
 
 
 def _describe_place(p: Parameter, value: float) -> str:
@@ -245,15 +252,21 @@ def check_joint_errors(model: Model, found: Errors) -> None:
             )
 
 
-def _advise_on_sign(model: Model, p: Parameter) -> str:
-    """Say which sign convention to check: the approach of the joints if the effect depends on it,
-    else what the model file states."""
+def _refuse_sign(model: Model, p: Parameter, value: float) -> WrongSignError:
+    """Return the error for a value whose sign is impossible. It says which sign convention to
+    check: the approach of the joints if the effect depends on it, else the model file's."""
+    side = "negative" if value < p.nominal else "positive"
+    advice = "check the directions that the model file states (gravity, joints)"
     needs = {name for e in model.effects if p.name.startswith(f"{e.name}.") for name in e.needs}
-    if not needs & {"direction", "travel"}:
-        return "check the directions that the model file states (gravity, joints)"
-    return (
-        "check the recorded direction and travel of the joints (their sign, the order of the "
-        "visits), and whether the encoders sit behind the gears"
+    if needs & {"direction", "travel"}:
+        advice = (
+            "check the recorded direction and travel of the joints (their sign, the order of the "
+            "visits), and whether the encoders sit behind the gears"
+        )
+    return WrongSignError(
+        f"{p.name} would have to be {_show(p, value)}, but its physics allows no {side} value: "
+        f"{advice}",
+        p.name.split(".")[0],
     )
 
 

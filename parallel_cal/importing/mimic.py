@@ -25,19 +25,29 @@ class Mimic:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint of a chain: its frame (4, 4) in its parent's frame, and its axis in its own."""
+    """One joint of a chain: its frame (4, 4) in its parent's frame, and its axis in its own, of the
+    length that the file states."""
 
     name: str
     kind: str | None
     parent: str
     child: str
     origin: Array
-    axis: Array
+    stated_axis: Array
     limits: tuple[float, float]
     velocity: float
     is_limit_zero: bool = False  # stated as 0 to 0
     mimic: Mimic | None = None
-    axis_length: float = 1.0  # in the file
+
+    @property
+    def axis_length(self) -> float:
+        """The length of its axis in the file."""
+        return float(np.linalg.norm(self.stated_axis))
+
+    @property
+    def axis(self) -> Array:
+        """The direction of its axis, of length 1, or 0 of a joint that does not move."""
+        return self.stated_axis / (self.axis_length or 1.0)
 
     @property
     def unit(self) -> str:

@@ -98,26 +98,28 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
     mechanism.joint_rates = tuple((velocity, np.inf) for velocity in slowest)
     remarks += describe_mimics(moving, driven)
     remarks += describe_limits(masters, limits)
-    remarks += [
+    remarks += _describe_axis_lengths(moving)
+    frames = {"base": joints[0].parent, "platform": joints[-1].child}
+    model = replace(new_model(mechanism), frames=frames)
+    return ConfiguredRobot(model, (*remarks, *about_home))
+
+
+def _describe_axis_lengths(moving: Sequence[Joint]) -> list[str]:
+    """Warn of axes that are not of length 1: programs read them in different ways."""
+    odd = [one for one in moving if abs(one.axis_length - 1) > MAX_AXIS_LENGTH_ERROR]
+    remarks = [
         f"the axis of {joint.name} has the length {joint.axis_length:.6g}. It was read as a "
         "direction, so that the joint moves by its reading; some programs (yourdfpy, ikpy) "
         f"multiply the motion by {joint.axis_length:.6g}: write an axis of length 1"
-        for joint in moving
-        if joint.kind == "P" and abs(joint.axis_length - 1) > MAX_AXIS_LENGTH_ERROR
+        for joint in odd
+        if joint.kind == "P"
     ]
-    hinges = ", ".join(
-        joint.name
-        for joint in moving
-        if joint.kind != "P" and abs(joint.axis_length - 1) > MAX_AXIS_LENGTH_ERROR
-    )
-    if hinges:
+    if hinges := ", ".join(joint.name for joint in odd if joint.kind != "P"):
         remarks.append(
             f"the axes of {hinges} are not of length 1. They were read as directions; some "
             "programs (ikpy) do not rotate about such an axis: write axes of length 1"
         )
-    frames = {"base": joints[0].parent, "platform": joints[-1].child}
-    model = replace(new_model(mechanism), frames=frames)
-    return ConfiguredRobot(model, (*remarks, *about_home))
+    return remarks
 
 
 def read_chain(path: Path, start: str, end: str) -> list[Joint]:
@@ -186,12 +188,11 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
         ends[0] or "",
         ends[1] or "",
         origin,
-        axis / (np.linalg.norm(axis) or 1.0),
+        axis,
         (low, high) if moves else (-np.inf, np.inf),
         velocity,
         zero,
         mimic,
-        float(np.linalg.norm(axis)),
     )
 
 

@@ -110,13 +110,10 @@ def fast_solver(problem: Problem) -> FastSolver:
                 return None
             given_part[...] = given
             if inverse:
-                if rotation is None:
-                    rotation_part[...] = home_rotation
-                else:
-                    rotation = np.asarray(rotation)
-                    if rotation.shape != (3, 3):
-                        return None
-                    rotation_part[...] = rotation
+                rotation = home_rotation if rotation is None else np.asarray(rotation)
+                if rotation.shape != (3, 3):
+                    return None
+                rotation_part[...] = rotation
             if at is not None:
                 conditions[...] = model.condition_rows(at, 1)[0]
             elif has_conditions:

@@ -28,6 +28,13 @@ def read_scale(given: Sequence[float], n: int, part: str = "joint") -> tuple[flo
     return scale
 
 
+def read_switches(
+    given: Sequence[float] | None, n: int, part: str = "joint"
+) -> tuple[float, ...] | None:
+    """Return the option `switches`: the readings at which the controller homes each `part` of n."""
+    return None if given is None else read_one_per_joint("switches", given, n, part)
+
+
 def read_controller(
     scale: Sequence[float] | None, switches: Sequence[float] | None, n: int, part: str
 ) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
@@ -35,5 +42,5 @@ def read_controller(
     stated."""
     return (
         None if scale is None else read_scale(scale, n, part),
-        None if switches is None else read_one_per_joint("switches", switches, n, part),
+        read_switches(switches, n, part),
     )

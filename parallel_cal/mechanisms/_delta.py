@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.mechanisms._controller import read_one_per_joint
+from parallel_cal.mechanisms._controller import read_switches
 from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -43,11 +43,6 @@ class Delta(Mechanism):
 
     def __init__(self, switches: Sequence[float] | None = None):
         self.switches = read_switches(switches, len(self.joints))
-
-
-def read_switches(given: Sequence[float] | None, n: int) -> tuple[float, ...] | None:
-    """Return the option `switches`: the readings at which the controller homes the joints."""
-    return None if given is None else read_one_per_joint("switches", given, n, "joint")
 
 
 class SizedDelta(Delta):
@@ -83,22 +78,25 @@ class SizedDelta(Delta):
         }
         self.parameters = self.parameters.with_nominal(nominal)
         angle = side * Delta.home.joints[0] if home is None else float(home)
-        drop = size["rod"] ** 2 - (out + size["arm"] * np.cos(angle)) ** 2
-        if not drop > 0:
-            raise ModelError(
-                f"rod is {size['rod']:g} m: too short for the elbows at home, which are "
-                f"{abs(out + size['arm'] * np.cos(angle)):.6g} m from the axis; expected a longer "
-                "rod, or another angle home"
-            )
-        z = round(float(size["arm"] * np.sin(angle) + side * np.sqrt(drop)), 13)
+        z = find_home_height(size, angle, side)
         self.home = Home(joints=(angle,) * 3, position=(0.0, 0.0, z))
         reach = size["arm"] * np.array([0.4, 0.4, 0.25])
-        centre = np.array([0.0, 0.0, z])
-        self.workspace = Workspace(
-            tuple(map(float, centre - reach)), tuple(map(float, centre + reach))
-        )
+        self.workspace = Workspace.around(np.array([0.0, 0.0, z]), reach)
         low, high = sorted(side * limit for limit in Delta.joint_limits[0])
         self.joint_limits = ((low, high) if limits is None else read_limits(limits, "rad"),) * 3
+
+
+def find_home_height(size: Mapping[str, float], angle: float, side: int) -> float:
+    """Return z (m) of the platform with all arms at `angle` (rad), on the `side` (1 or -1) of the
+    elbows; ModelError if the rods do not reach."""
+    elbow = size["base"] - size["platform"] + size["arm"] * np.cos(angle)
+    drop = size["rod"] ** 2 - elbow**2
+    if not drop > 0:
+        raise ModelError(
+            f"rod is {size['rod']:g} m: too short for the elbows at home, which are "
+            f"{abs(elbow):.6g} m from the axis; expected a longer rod, or another angle home"
+        )
+    return round(float(size["arm"] * np.sin(angle) + side * np.sqrt(drop)), 13)
 
 
 def chain_parameters(groups: dict[str, dict[str, Entry]], n: int = 3) -> ParameterTable:

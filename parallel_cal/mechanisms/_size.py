@@ -39,6 +39,13 @@ def read_limits(given: Sequence[float], unit: str) -> tuple[float, float]:
     return low, high
 
 
+def rms_radius(points: np.ndarray) -> float:
+    """Compute the rms distance (m) of points (n, 3) from their middle.
+
+    It is rounded, because the last bit of a root depends on the machine."""
+    return round(float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))), 13)
+
+
 def read_points(name: str, given: Sequence[Sequence[float]], n: int) -> np.ndarray:
     """Return an option that is n points [x, y, z] as an array (n, 3) in m."""
     try:

@@ -10,7 +10,7 @@ import casadi as ca
 
 from parallel_cal.base.rotation import rot_x, rot_z
 from parallel_cal.base.units import DEGREE
-from parallel_cal.mechanisms._delta import read_switches
+from parallel_cal.mechanisms._controller import read_switches
 from parallel_cal.model.drawing import Line, axis
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import POSE, Mechanism, Workspace

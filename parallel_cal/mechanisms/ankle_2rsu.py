@@ -10,7 +10,7 @@ import casadi as ca
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.mechanisms._controller import read_one_per_joint
+from parallel_cal.mechanisms._controller import read_one_per_joint, read_switches
 from parallel_cal.mechanisms._servo_legs import BODIES, ServoLegs, servo_leg
 from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.drawing import Line, axis
@@ -96,9 +96,7 @@ class Ankle2Rsu(ServoLegs):
         self.home = Home((0.0, 0.0), (0.0, 0.0, low))
         self.workspace = Workspace((-15 * DEGREE, -25 * DEGREE), (15 * DEGREE, 25 * DEGREE))
         self.joint_limits = (read_limits(limits, "rad"),) * 2
-        self.switches = (
-            None if switches is None else read_one_per_joint("switches", switches, 2, "crank")
-        )
+        self.switches = read_switches(switches, 2, "crank")
         self.length = size["behind"]
         self.bodies = {**BODIES, "base": ("*.D_?", "*.c_?"), "platform": ("*.B_?", "*.f_?")}
 

@@ -4,22 +4,18 @@ have more lines than degrees of freedom."""
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.base.units import MM
+from parallel_cal.mechanisms._cable_lines import RADIUS, DrawnLines, Motors
 from parallel_cal.model.closed_form import three_spheres, two_circles
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drive import Spool
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
-from parallel_cal.model.parameters import Named, Parameter, ParameterTable
-
-GEAR, RADIUS = 255 / 20, 75 * MM
-MIN_LENGTH = 1e-6  # m, of a line
+from parallel_cal.model.parameters import Named, ParameterTable
 
 # The Hangprinter HP4: three lines pull low and share one spool radius, the fourth pulls high.
 HP4_ANCHORS = ((0, -1.6, -0.11), (1.3, 1.25, -0.15), (-1.44, 0.74, -0.16), (0, 0, 2.345))
@@ -82,76 +78,54 @@ class Cable(Mechanism):
         second_strands: Sequence[float] | None = None,
         home: Sequence[float] | None = None,
     ):
-        hp4 = anchors is None
-        anchors = HP4_ANCHORS if anchors is None else anchors
-        n = len(anchors)
-        points = _check_anchors(anchors)
-        stated = None if home is None else _read_point("home", home)
-        flat = len(anchors[0]) == 2 and (stated is None or not stated[2])
-        used = np.flatnonzero([True, True, False]) if flat else _find_axes(points, stated)
-        self.moves = self.controls = tuple("xyz"[axis] for axis in used)
-        ends = _check_second_anchors(n, used, second_anchors, second_strands)
-        self.moving_pulleys = tuple(end is not None for end in ends)
-        if any(self.moving_pulleys):
-            self.closed_forms = ("inverse",)
+        if anchors is None:
+            anchors = HP4_ANCHORS
+            advantages, spools = advantages or HP4_ADVANTAGES, spools or HP4_SPOOLS
         if zero not in ("origin", "anchors"):
             raise ModelError(f"zero '{zero}': expected 'origin' or 'anchors'")
-        self.whole = zero == "anchors"
-        motors = hp4 or any(option is not None for option in (spools, radius, gear))
-        advantages = advantages or (HP4_ADVANTAGES if hp4 else (1.0,) * n)
-        own = spools or (HP4_SPOOLS if hp4 else range(1, n + 1))
-        self.spools = tuple(own) if motors else ()
-        radii, gears = (
-            _numbers(name, given, default, n)
-            for name, given, default in (("radius", radius, RADIUS), ("gear", gear, GEAR))
-        )
-        _check_lines(n, advantages, self.spools or own)
-        strands = second_strands or (1.0,) * n
-        lines_at = _Lines(points, ends, np.divide(strands, advantages), used)
-        self.zero_point = lines_at.find_home(stated)
+        self.whole, n = zero == "anchors", len(anchors)
+        lines = DrawnLines.read(anchors, advantages, second_anchors, second_strands, home)
+        motors = Motors.read(n, spools, radius, gear)
+        self.moves = self.controls = lines.axes
+        self.moving_pulleys = tuple(end is not None for end in lines.ends)
+        self.zero_point = lines.find_home()
+        self.start_lines = lines.find_independent()
         box = np.array([Cable.workspace.low, Cable.workspace.high]) + self.zero_point
-        box = box[:, used].tolist()
-        self.workspace = Workspace(low=tuple(box[0]), high=tuple(box[1]))
-        self.joints = tuple(f"{'motor' if motors else 'line'}{i + 1}" for i in range(n))
-        self.joint_unit = "rad" if motors else "m"
+        low, high = box[:, lines.used].tolist()
+        self.workspace = Workspace(tuple(low), tuple(high))
         self.joint_limits = ((-np.inf, np.inf),) * n
-        if motors:  # line (m) per rad of the motor
-            self.length = radii[0] / gears[0] / 2
-        self.fixed = ("*.gear", "*.advantage") if motors else ("*.advantage",)
-        self.fixed += ("*.strands",) * any(self.moving_pulleys)
-        base = ("*.A_?", "*.E_?") if any(self.moving_pulleys) else ("*.A_?",)
-        self.bodies = {"base": base, **({"spools": ("*.R",)} if motors else {})}
-        places = [dict(zip(self.moves, point, strict=True)) for point in points[:, used]]
-        lines = [
-            _line(i + 1, place, advantages[i], gears[i] if motors else None)
-            for i, place in enumerate(places)
-        ]
-        for i, end in enumerate(ends):
-            if end is not None:
-                place = dict(zip(self.moves, end[used], strict=True))
-                lines[i] += _second_part(i + 1, place, strands[i])
-        shared = {k: radii[self.spools.index(k)] for k in sorted({*self.spools})}
-        spooled = [
-            Parameter(f"spool{k}.R", "m", size, 1 * MM, "spool", low=0, label="radius")
-            for k, size in shared.items()
-        ]
-        self.parameters = ParameterTable([*(p for line in lines for p in line), *spooled])
+        self.fixed, self.bodies = ("*.advantage",), {"base": ("*.A_?",)}
+        table = lines.parameters(() if motors is None else motors.gears)
+        self.spools: tuple[int, ...] = ()
+        if motors is None:
+            self.joints, self.joint_unit = tuple(f"line{i + 1}" for i in range(n)), "m"
+        else:
+            self.joints, self.joint_unit = tuple(f"motor{i + 1}" for i in range(n)), "rad"
+            self.spools = motors.spools
+            self.length = motors.radii[0] / motors.gears[0] / 2  # line (m) per rad of the motor
+            self.fixed = ("*.gear", *self.fixed)
+            self.bodies["spools"] = ("*.R",)
+            table += motors.parameters()
+        if any(self.moving_pulleys):
+            self.closed_forms = ("inverse",)
+            self.fixed += ("*.strands",)
+            self.bodies["base"] = ("*.A_?", "*.E_?")
+        self.parameters = ParameterTable(table)
         position = tuple(self.zero_point.tolist())
         self.home = Home(joints=(0.0,) * n, position=position)
         if self.whole:
             p = Named(self.parameters.names, self.parameters.nominal)
             joints = self.joint_candidates(ca.DM(position), None, p)
             self.home = Home(tuple(round(float(q[0]), 13) for q in joints), position)
-        self.start_lines = lines_at.find_independent()
         self.remarks = ()
-        if stated is None and self.zero_point.any():
+        if home is None and self.zero_point.any():
             zero = "" if self.whole else "readings are taken as zero there; "
             self.remarks = (
                 f"the lines cannot hold the point at the origin: home is {list(position)} m; "
                 f"{zero}state another point with the option home",
             )
         if self.moves == ("x", "y") and n == 2:  # lines hold the point only if it hangs
-            self.gravity = lines_at.find_gravity(self.zero_point) or self.gravity
+            self.gravity = lines.find_gravity(self.zero_point) or self.gravity
 
     @classmethod
     def complete_options(
@@ -281,217 +255,6 @@ class Cable(Mechanism):
         """Find the only solution: each line's length gives its motor's angle."""
         missing = self.closure(ca.DM.zeros(len(self.joints)), r, R, p)
         return [(missing[i] / self.per_reading(p, i),) for i in range(len(self.joints))]
-
-
-def _numbers(name: str, given: Any, default: float, n: int) -> list[float]:
-    """Return n numbers above 0, given as one or as n of them."""
-    try:
-        values = np.broadcast_to(np.array(default if given is None else given, float), n)
-    except (TypeError, ValueError):
-        raise ModelError(f"{name} {given!r}: expected a number, or {n} of them") from None
-    if not (values > 0).all():
-        raise ModelError(f"{name} {given!r}: expected numbers above 0")
-    return [float(value) for value in values]
-
-
-def _check_lines(n: int, advantages: Sequence[float], spools: Sequence[int]) -> None:
-    for name, values in (("advantages", advantages), ("spools", spools)):
-        if len(values) != n:
-            raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
-    if not all(value > 0 for value in advantages):
-        raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
-
-
-def _check_anchors(anchors: Sequence[Any]) -> np.ndarray:
-    """Return the anchors (n, 3) m, or ModelError."""
-    if {len(point) for point in anchors} not in ({2}, {3}):
-        raise ModelError(f"anchors {list(anchors)}: expected points [x, y, z], or all [x, y], in m")
-    points = np.zeros((len(anchors), 3))
-    points[:, : len(anchors[0])] = np.array(anchors, dtype=float)
-    return points
-
-
-def _find_axes(points: np.ndarray, home: np.ndarray | None) -> np.ndarray:
-    """Return the coordinates (indices) in which the point moves, or ModelError."""
-    n, every = len(points), points if home is None else np.vstack([points, home])
-    used = np.flatnonzero(every.any(axis=0))
-    if len(used) < 2:
-        raise ModelError(
-            f"the {n} anchors {points.tolist()} are collinear with the origin: expected anchors "
-            "that span a plane or space; state those in a plane as [x, y], or state a point that "
-            "the lines hold as the option home"
-        )
-    return used
-
-
-@dataclass(frozen=True)
-class _Lines:
-    """Drawn lines: `anchors` (n, 3) m, the second ones or None, and `shares` (n,): strands to the
-    second anchor over the advantage. `used` are the coordinates in which the point moves."""
-
-    anchors: np.ndarray
-    ends: Sequence[np.ndarray | None]
-    shares: np.ndarray
-    used: np.ndarray
-
-    def find_home(self, stated: np.ndarray | None) -> np.ndarray:
-        """Return the stated home, or else the first of some points that the lines can hold.
-
-        ModelError if they hold none.
-        """
-        n, freedoms = len(self.anchors), len(self.used)
-        if n < freedoms:
-            raise ModelError(
-                f"{n} anchors given, expected at least 3 points [x, y, z] in m, or at least 2 "
-                "points [x, y] of a planar robot"
-            )
-        every = np.array([*self.anchors, *(end for end in self.ends if end is not None)])
-        middle, down = np.round(every.mean(axis=0), 3), np.zeros(3)
-        down[self.used[-1]] = np.round(np.ptp(every, axis=0).max() / 2, 3)
-        places = [np.zeros(3), middle, middle - down] if stated is None else [stated]
-        for place in places:
-            if self.count_directions(place) == freedoms:
-                return place
-        where = "at the origin" if stated is None else f"at home {stated.tolist()}"
-        if np.min(np.linalg.norm(every - places[0], axis=1)) < MIN_LENGTH:
-            raise ModelError(f"an anchor is {where}: its line has no length there")
-        raise ModelError(
-            f"the lines from the anchors {self.anchors.tolist()} do not hold the point {where}: "
-            f"they pull along {self.count_directions(places[0])} of {freedoms} independent "
-            "directions; expected anchors at different points that are not on one line (in space, "
-            "in one plane) with home"
-        )
-
-    def directions(self, place: np.ndarray) -> np.ndarray:
-        """Return by how much each line is longer per metre of motion (n, freedoms); NaN if the
-        place is an anchor."""
-        rows = []
-        for anchor, end, share in zip(self.anchors, self.ends, self.shares, strict=True):
-            row = _unit(place - anchor)
-            rows.append(row if end is None else row + share * _unit(place - end))
-        return np.array(rows)[:, self.used]
-
-    def count_directions(self, place: np.ndarray) -> int:
-        """Count the independent directions in which the lines pull; 0 at an anchor."""
-        rows = self.directions(place)
-        if not np.isfinite(rows).all():
-            return 0
-        return int(np.linalg.matrix_rank(rows, tol=1e-6))
-
-    def find_independent(self) -> list[int]:
-        """Return the first lines whose spheres meet in one point, or in two if there are no more
-        lines than freedoms (by their numbers)."""
-        centres = self.anchors.copy()
-        for i, end in enumerate(self.ends):
-            if end is not None:
-                centres[i] += self.shares[i] / (1 + self.shares[i]) * (end - centres[i])
-        found = list[int]()
-        for i in range(len(centres)):
-            apart = centres[[*found[1:], i]] - centres[found[0]] if found else np.eye(3)
-            sizes = np.linalg.svd(apart[:, self.used], compute_uv=False)
-            if sizes[min(len(apart), len(self.used)) - 1] > 0.05 * sizes[0]:
-                found.append(i)
-            if len(found) > len(self.used):
-                break
-        return found
-
-    def find_gravity(self, home: np.ndarray) -> tuple[float, float, float] | None:
-        """Return the gravity (m/s^2) along y that keeps both lines of a planar robot taut at home;
-        None if neither direction does."""
-        tensions = -np.linalg.solve(self.directions(home).T, np.array([0.0, 1.0]))
-        if (tensions >= 0).all():
-            return (0.0, -9.81, 0.0)
-        return (0.0, 9.81, 0.0) if (tensions <= 0).all() else None
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    size = float(np.linalg.norm(vector))
-    return vector / size if size > MIN_LENGTH else np.full(3, np.nan)
-
-
-def _check_second_anchors(
-    n: int,
-    used: np.ndarray,
-    given: Sequence[Sequence[float] | None] | None,
-    strands: Sequence[float] | None,
-) -> list[np.ndarray | None]:
-    """Return the second anchor (3,) m of each line, None of a line without one, or ModelError."""
-    for name, values in (("second_anchors", given), ("second_strands", strands)):
-        if values is not None and len(values) != n:
-            raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
-    if strands is not None and not all(value > 0 for value in strands):
-        raise ModelError(f"second_strands {list(strands)}, expected numbers above 0")
-    ends = [
-        None if end is None else _read_point("second anchor", end) for end in given or [None] * n
-    ]
-    for end in ends:
-        if end is not None and np.delete(end, used).any():
-            raise ModelError(
-                f"second anchor {end.tolist()} is outside the plane of the anchors, which the "
-                "lines of a planar robot do not leave"
-            )
-    return ends
-
-
-def _read_point(name: str, given: Sequence[float]) -> np.ndarray:
-    """Return a point (3,) m that is given as [x, y, z] or [x, y], or ModelError."""
-    point = np.zeros(3)
-    if len(given) not in (2, 3):
-        raise ModelError(f"{name} {list(given)}: expected [x, y, z] or [x, y], in m")
-    point[: len(given)] = np.array(given, dtype=float)
-    return point
-
-
-def _anchor(name: str, label: str, point: Mapping[str, float]) -> list[Parameter]:
-    return [
-        Parameter(f"{name}_{axis}", "m", float(v), 20 * MM, "anchor", label=f"{label}'s {axis}")
-        for axis, v in point.items()
-    ]
-
-
-def _second_part(number: int, end: Mapping[str, float], strands: float) -> list[Parameter]:
-    name = f"line{number}."
-    return [
-        *_anchor(f"{name}E", "second anchor", end),
-        Parameter(
-            f"{name}strands",
-            "1",
-            float(strands),
-            1e-3,
-            "drive",
-            low=0,
-            label="strands to the second anchor",
-        ),
-    ]
-
-
-def _line(
-    number: int, anchor: Mapping[str, float], advantage: float, gear: float | None
-) -> list[Parameter]:
-    name, drive = f"line{number}.", []
-    if gear is not None:
-        drive = [Parameter(f"{name}gear", "1", gear, 1e-3, "drive", low=0, label="gear ratio")]
-    return [
-        *_anchor(f"{name}A", "anchor", anchor),
-        Parameter(
-            f"{name}offset",
-            "m",
-            0.0,
-            5 * MM,
-            "offset",
-            label="error of the line's length at reading zero",
-        ),
-        *drive,
-        Parameter(
-            f"{name}advantage",
-            "1",
-            float(advantage),
-            1e-3,
-            "drive",
-            low=0,
-            label="pulley's mechanical advantage",
-        ),
-    ]
 
 
 def _one_point(centres: Sequence[Any], squares: Sequence[Any]) -> Any:

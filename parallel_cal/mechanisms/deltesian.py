@@ -92,9 +92,7 @@ class Deltesian(Mechanism):
         across = 0.4 * (size["rod"] - size["width"])
         box = np.array([across, half, 0.2 * size["rod"]])
         middle = np.array([0.0, 0.0, float(height)])
-        self.workspace = Workspace(
-            tuple(map(float, middle - 0.9 * box)), tuple(map(float, middle + 0.9 * box))
-        )
+        self.workspace = Workspace.around(middle, 0.9 * box)
         self.length = size["width"]
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:

@@ -13,7 +13,7 @@ from parallel_cal.base.rotation import rot_x, rot_y
 from parallel_cal.base.units import DEGREE
 from parallel_cal.mechanisms._controller import read_controller
 from parallel_cal.mechanisms._servo_legs import rod_length_errors
-from parallel_cal.mechanisms._size import read_limits, read_numbers
+from parallel_cal.mechanisms._size import read_limits, read_numbers, rms_radius
 from parallel_cal.mechanisms.stewart42 import Points, read_ends, ring
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
@@ -94,13 +94,10 @@ class Hexaglide(Mechanism):
         self.home = Home(tuple(map(float, q)), (0.0, 0.0, size["height"]))
         reach, turn = 0.12 * size["height"], (8 * DEGREE,) * 3
         middle = np.array([0.0, 0.0, size["height"]])
-        self.workspace = Workspace(
-            low=(*map(float, middle - reach), *(-angle for angle in turn)),
-            high=(*map(float, middle + reach), *turn),
-        )
+        self.workspace = Workspace.around(middle, reach, turn)
         self.joint_limits = (read_limits(limits, "m"),) * n
         self.scale, self.switches = read_controller(scale, switches, n, "leg")
-        self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
+        self.length = rms_radius(B)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error (|r + R B - C - q u|^2 - rod^2) / (2 rod) of each leg, in m."""

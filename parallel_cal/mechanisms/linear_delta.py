@@ -11,8 +11,8 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.mechanisms._controller import read_scale
-from parallel_cal.mechanisms._delta import pair_errors, pair_lengths, read_switches, rod_pairs
+from parallel_cal.mechanisms._controller import read_scale, read_switches
+from parallel_cal.mechanisms._delta import pair_errors, pair_lengths, rod_pairs
 from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.closed_form import positions
 from parallel_cal.model.drawing import Line
@@ -124,9 +124,7 @@ class LinearDelta(Mechanism):
         if limits is None:
             self.joint_limits = ((min(0.0, reading - long), reading + long),) * 3
         reach, middle = abs(offset) * np.array([0.6, 0.6, 0.8]), np.array([0.0, 0.0, height])
-        self.workspace = Workspace(
-            tuple(map(float, middle - reach)), tuple(map(float, middle + reach))
-        )
+        self.workspace = Workspace.around(middle, reach)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute mean and half difference of each pair's two rods, like eq. 3.12, in metres."""

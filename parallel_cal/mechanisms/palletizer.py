@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.mechanisms._controller import read_one_per_joint
+from parallel_cal.mechanisms._controller import read_one_per_joint, read_switches
 from parallel_cal.mechanisms._size import read_numbers
 from parallel_cal.model.closed_form import two_circles
 from parallel_cal.model.drawing import Line
@@ -118,9 +118,7 @@ class Palletizer(Mechanism):
             (*map(float, high), *[turn + w for w in swing]),
         )
         self.joint_limits = tuple((a * DEGREE, b * DEGREE) for a, b in LIMITS[:n])
-        self.switches = (
-            None if switches is None else read_one_per_joint("switches", switches, n, "joint")
-        )
+        self.switches = read_switches(switches, n)
         self.length = size["crank"]
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:

@@ -101,9 +101,7 @@ class Pentapod(Mechanism):
         self.home = Home(tuple(map(float, readings)), (x, y, z))
         self.joint_limits = travel(readings, lengths, limits)
         reach = 0.1 * lengths.min()
-        self.workspace = Workspace(
-            (*map(float, tip - reach), -TURN, -TURN), (*map(float, tip + reach), TURN, TURN)
-        )
+        self.workspace = Workspace.around(tip, reach, (TURN, TURN))
         self.scale, self.switches = read_controller(scale, switches, 5, "leg")
         self.length = round(float(np.sqrt(np.mean(radii**2 + (level - level.mean()) ** 2))), 13)
 

@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_z
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.mechanisms._delta import POSITION, chain_parameters, read_switches
+from parallel_cal.mechanisms._controller import read_switches
+from parallel_cal.mechanisms._delta import POSITION, chain_parameters, find_home_height
 from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.model.closed_form import joint_angles
@@ -110,20 +110,11 @@ class Quattro(Mechanism):
         gearing = Parameter("platform.gear", "1", size["gear"], 1e-3 * size["gear"], label="gear")
         chains = chain_parameters({"position": POSITION}, 4).with_nominal(numbers)
         self.parameters = ParameterTable([*chains, *hinges, gearing])
-        elbow = abs(size["base"] - size["platform"] + size["arm"] * np.cos(angle))
-        drop = size["rod"] ** 2 - elbow**2
-        if not drop > 0:
-            raise ModelError(
-                f"rod is {size['rod']:g} m: too short for the elbows at home, which are "
-                f"{elbow:.6g} m from the axis; expected a longer rod, or another angle home"
-            )
-        z = round(float(size["arm"] * np.sin(angle) - np.sqrt(drop)), 13)
+        z = find_home_height(size, angle, -1)
         self.home = Home(joints=(angle,) * 4, position=(0.0, 0.0, z))
         reach = size["arm"] * np.array([0.4, 0.4, 0.25])
-        centre, swing = np.array([0.0, 0.0, z]), 30 * DEGREE * size["gear"]
-        self.workspace = Workspace(
-            (*map(float, centre - reach), -swing), (*map(float, centre + reach), swing)
-        )
+        swing = 30 * DEGREE * size["gear"]
+        self.workspace = Workspace.around(np.array([0.0, 0.0, z]), reach, (swing,))
         self.joint_limits = (read_limits(limits, "rad"),) * 4
         self.switches = read_switches(switches, 4)
         self.length = size["bar"] / 2

@@ -12,6 +12,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE
 from parallel_cal.mechanisms._controller import read_controller
+from parallel_cal.mechanisms._size import rms_radius
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -181,14 +182,10 @@ class Stewart42(Mechanism):
         self.home = Home(joints=readings, position=(0.0, 0.0, height))
         reach = np.array([0.04, 0.04, 0.03]) * height / HEIGHT
         middle, turn = np.array([0.0, 0.0, height]), (10 * DEGREE,) * 3
-        self.workspace = Workspace(
-            low=(*(float(v) for v in middle - reach), *(-angle for angle in turn)),
-            high=(*(float(v) for v in middle + reach), *turn),
-        )
+        self.workspace = Workspace.around(middle, reach, turn)
         self.joint_limits = ((low, high),) * n
         self.scale, self.switches = read_controller(scale, switches, n, "leg")
-        # Rounded as the lengths are: the last bit of a root depends on the machine.
-        self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
+        self.length = rms_radius(B)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error of each leg, eq. 3.8 without the squares, in metres."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE
-from parallel_cal.mechanisms._controller import read_one_per_joint
+from parallel_cal.mechanisms._controller import read_one_per_joint, read_switches
 from parallel_cal.mechanisms._servo_legs import ServoLegs, servo_leg
-from parallel_cal.mechanisms._size import read_limits, read_numbers
+from parallel_cal.mechanisms._size import read_limits, read_numbers, rms_radius
 from parallel_cal.mechanisms.stewart42 import Points, read_ends, ring
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
@@ -90,17 +90,12 @@ class StewartRss(ServoLegs):
             rods = spans if rod is None else np.full(n, read_numbers({"rod": rod})["rod"])
         # Rounded: the last bit of a root depends on the machine.
         tall, rods, theta = round(tall, 13), rods.round(13), theta.round(13)
+        rows = zip(self.joints, D, theta, rods, B, strict=True)
         self.parameters = ParameterTable(
             parameter
-            for leg, *numbers in zip(self.joints, D, theta, rods, B, strict=True)
+            for leg, hub, direction, length, ball in rows
             for parameter in servo_leg(
-                leg,
-                numbers[0],
-                numbers[1],
-                size["crank"],
-                numbers[2],
-                numbers[3],
-                size["tolerance"],
+                leg, hub, direction, size["crank"], length, ball, size["tolerance"]
             )
         )
         q = self.solve_home_readings(np.array([0.0, 0.0, tall])).round(11)
@@ -111,17 +106,11 @@ class StewartRss(ServoLegs):
                 "the platform at home; expected another rod or height"
             )
         self.home = Home(tuple(map(float, q + 0.0)), (0.0, 0.0, tall))
-        reach, turn = size["crank"] * np.array([0.25, 0.25, 0.25]), (6 * DEGREE,) * 3
         middle = np.array([0.0, 0.0, tall])
-        self.workspace = Workspace(
-            low=(*map(float, middle - reach), *(-angle for angle in turn)),
-            high=(*map(float, middle + reach), *turn),
-        )
+        self.workspace = Workspace.around(middle, 0.25 * size["crank"], (6 * DEGREE,) * 3)
         self.joint_limits = (read_limits(limits, "rad"),) * n
-        self.switches = (
-            None if switches is None else read_one_per_joint("switches", switches, n, "leg")
-        )
-        self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
+        self.switches = read_switches(switches, n, "leg")
+        self.length = rms_radius(B)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error of each rod, in metres."""

@@ -73,9 +73,7 @@ class TripodStruts(Mechanism):
         self.home = Home(tuple(map(float, readings)), (x, y, z))
         self.joint_limits = travel(readings, lengths, limits)
         reach = 0.15 * lengths.min()
-        self.workspace = Workspace(
-            tuple(map(float, point - reach)), tuple(map(float, point + reach))
-        )
+        self.workspace = Workspace.around(point, reach)
         self.scale, self.switches = read_controller(scale, switches, 3, "leg")
         self.length = round(float(lengths.min()), 13)
 

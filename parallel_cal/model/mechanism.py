@@ -83,6 +83,37 @@ class Workspace:
     low: tuple[float, ...]
     high: tuple[float, ...]
 
+    @classmethod
+    def around(
+        cls, centre: np.ndarray, reach: float | np.ndarray, turns: Sequence[float] = ()
+    ) -> Workspace:
+        """Return the box about a position of the level platform.
+
+        Parameters
+        ----------
+        centre : array (n,)
+            The controlled coordinates of the position, m.
+        reach : float or array (n,)
+            How far the box reaches from the centre to each side, m.
+        turns : sequence of float
+            How far the platform turns to each side, rad.
+
+        Returns
+        -------
+        Workspace
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import parallel_cal as pc
+        >>> pc.Workspace.around(np.array([0.0, 0.0, 0.5]), 0.125, (0.1,))
+        Workspace(low=(-0.125, -0.125, 0.375, -0.1), high=(0.125, 0.125, 0.625, 0.1))
+        """
+        return cls(
+            low=(*map(float, centre - reach), *(-turn for turn in turns)),
+            high=(*map(float, centre + reach), *turns),
+        )
+
 
 @dataclass(frozen=True)
 class Box:

@@ -89,14 +89,7 @@ class CalibrationNode(ManagedNode):
         )
         self._cameras = Cameras(self, settings, self._queue, group)
         self._input = Subscriptions(
-            self,
-            self._queue,
-            self._on_joint_state,
-            settings.get("pose_type"),
-            settings.get("driver_type"),
-            settings.get("body"),
-            group,
-            self._cameras.images,
+            self, settings, self._queue, self._on_joint_state, group, self._cameras.images
         )
         SampleServices(self, samples, settings.folders, calibrator, report, group)
         self._next_update, self._ending = 0.0, False

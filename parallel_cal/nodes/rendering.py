@@ -28,7 +28,7 @@ def render(middle: Point, pose: tuple[Array, Array] | None, seed: tuple[int, ...
     """
     view = make_view(middle)
     width, height = view.camera.size
-    image = np.full((height, width), int(view.camera.black), np.uint8)
+    image = np.full((height, width), int(view.camera.imager.black), np.uint8)
     if pose is not None:
         image = view.photograph(*pose, np.random.default_rng(seed))
     return encode_jpeg(image, JPEG_QUALITY)

@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.imaging.messages import COMPRESSED, IMAGE
+from parallel_cal.nodes.calibration_settings import CalibrationSettings
 from parallel_cal.nodes.conversions import find_measured_pose, message_class
 from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.inflow import Inflow
@@ -100,21 +101,20 @@ class Subscriptions:
     def __init__(
         self,
         node: ManagedNode,
+        settings: CalibrationSettings,
         queue: MessageQueue,
         on_joint_state: Callable[[Any], None],
-        pose_type: str,
-        driver_type: str,
-        body: str,
         group: CallbackGroup,
         cameras: Sequence[LiveImages] = (),
     ):
-        """Read `measured_pose` as `pose_type`, or the poses of `body` from `driver_type`; `cameras`
-        search the images on their topics."""
+        """Read `measured_pose` as `pose_type`, or the poses of `body` from `driver_type`, as the
+        settings state; `cameras` search the images on their topics."""
         self._node, self._queue, self._group = node, queue, group
         self._on_joint_state = on_joint_state
         # Before any thread is started, as it may fail.
-        pose_class = _driver_class(driver_type) or getattr(geometry_msgs.msg, pose_type)
-        self._body = body if driver_type else None
+        driver_class = _driver_class(settings.get("driver_type"))
+        pose_class = driver_class or getattr(geometry_msgs.msg, settings.get("pose_type"))
+        self._body = settings.get("body") if settings.get("driver_type") else None
         self._pumps: dict[str, Pump] = {}
         self._rare: dict[str, Any] = {}  # subscriptions in the executor, by their channel
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)

@@ -7,6 +7,7 @@ the same checks. A bad message is dropped and counted. A stream without a good o
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,17 +60,11 @@ def assemble(
     encoders = split_passive(streams[0], options.passive_joints)
     streams[0] = merge_partial_states(streams[0], options.joints, options.stamps == "log", said)
     readings = order_readings(streams[0], options.joints, said, options.passive_joints)
-    contents = [readings.q, *map(pose_values, streams[1:])]
-    kept = [
-        keep_one_publisher(raw, values, said, dropped)
-        for raw, values in zip(streams, contents, strict=True)
-    ]
-    if len(kept[0]) < len(readings.q):
-        readings = readings.select(kept[0])
-    streams = [
-        raw if len(at) == len(raw.stamp) else raw.select(at)
-        for raw, at in zip(streams, kept, strict=True)
-    ]
+    for k, values in enumerate([readings.q, *map(pose_values, streams[1:])]):
+        at = keep_one_publisher(streams[k], values, said, dropped)
+        if len(at) < len(values):
+            streams[k] = streams[k].select(at)
+            readings = readings if k else readings.select(at)
     times = [resolve_stamps(raw, options.stamps, said) for raw in streams]
     strays = [find_stray_stamps(ns, raw.log) for raw, ns in zip(streams, times, strict=True)]
     clocks = list(zip(streams, times, strays, strict=True))
@@ -81,13 +76,7 @@ def assemble(
         pose = require_overlap(pose, joints, streams, times, start, said)
     for sieve in sieves:
         dropped += sieve.dropped
-
-    def numbers(group: Mapping[str, Raw]) -> dict[str, ScalarStream]:
-        found = {
-            n: _numbers(r, options.stamps, start, joints, said, dropped) for n, r in group.items()
-        }
-        return {name: stream for name, stream in found.items() if stream}
-
+    numbers = partial(_clean_numbers, options.stamps, start, joints, said, dropped)
     conditions, distances = numbers(of("condition")), numbers(_by_gauge(of("readings").values()))
     distances |= numbers(_by_corner(of("images").values()))
     read = {name: raw for name, raw in encoders.items() if name not in distances}  # no own topic
@@ -106,44 +95,47 @@ def assemble(
     )
 
 
-def _numbers(
-    raw: Raw,
+def _clean_numbers(
     stamps: str,
     start: int,
     joints: JointStream,
     notes: list[str],
     dropped: list[Dropped],
-) -> ScalarStream | None:
-    """Return one number over time; None, with a note, if it cannot belong to this recording."""
-    if not raw.stamp:
-        return None
-    value = np.array([row[0] for row in raw.rows], float)
-    if groups := separate_publishers(raw, value[:, None], np.flatnonzero(np.isfinite(value))):
-        listed = "; ".join(f"{len(at)} messages {words}" for words, at in groups.items())
-        notes.append(
-            f"{raw.topic}: ignored; it has several publishers, whose values disagree: {listed}. "
-            "Give each sensor a topic of its own"
-        )
-        return None
-    sieve = Sieve(raw, resolve_stamps(raw, stamps, notes), start)
-    unconverted = is_unconverted(value)
-    also = NEGATIVE_INT if unconverted.any() else ""
-    if not (np.isfinite(value) & ~unconverted).any():
-        shown = (
-            f"{UNCONVERTED}; the first is {value[unconverted][0]:.3g}"
-            if also
-            else "no finite value"
-        )
-        notes.append(f"{raw.topic}: ignored; {shown}")
-        return None
-    sieve.drop(unconverted, UNCONVERTED, "", value[:, None])
-    sieve.drop(~np.isfinite(value), f"value is not finite{also}")
-    dropped += sieve.dropped
-    time = sieve.time[sieve.keep]
-    if time[0] > joints.time[-1] or (len(time) > 1 and time[-1] < joints.time[0]):
-        notes.append(f"{raw.topic}: ignored; its times do not overlap the times of {joints.topic}")
-        return None
-    return ScalarStream(raw.topic, time, value[sieve.keep])
+    raws: Mapping[str, Raw],
+) -> dict[str, ScalarStream]:
+    """Return each number over time that belongs to this recording; a note for each other one."""
+    streams = dict[str, ScalarStream]()
+    for name, raw in raws.items():
+        if not raw.stamp:
+            continue
+        value = np.array([row[0] for row in raw.rows], float)
+        usable = np.flatnonzero(np.isfinite(value))
+        if groups := separate_publishers(raw, value[:, None], usable):
+            listed = "; ".join(f"{len(at)} messages {words}" for words, at in groups.items())
+            notes.append(
+                f"{raw.topic}: ignored; it has several publishers, whose values disagree: "
+                f"{listed}. Give each sensor a topic of its own"
+            )
+            continue
+        sieve = Sieve(raw, resolve_stamps(raw, stamps, notes), start)
+        unconverted = is_unconverted(value)
+        also = NEGATIVE_INT if unconverted.any() else ""
+        if not (np.isfinite(value) & ~unconverted).any():
+            shown = "no finite value"
+            if also:
+                shown = f"{UNCONVERTED}; the first is {value[unconverted][0]:.3g}"
+            notes.append(f"{raw.topic}: ignored; {shown}")
+            continue
+        sieve.drop(unconverted, UNCONVERTED, "", value[:, None])
+        sieve.drop(~np.isfinite(value), f"value is not finite{also}")
+        dropped += sieve.dropped
+        time = sieve.time[sieve.keep]
+        if time[0] > joints.time[-1] or (len(time) > 1 and time[-1] < joints.time[0]):
+            times = f"its times do not overlap the times of {joints.topic}"
+            notes.append(f"{raw.topic}: ignored; {times}")
+            continue
+        streams[name] = ScalarStream(raw.topic, time, value[sieve.keep])
+    return streams
 
 
 def _by_gauge(raws: Iterable[Raw]) -> dict[str, Raw]:

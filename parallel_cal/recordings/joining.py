@@ -41,29 +41,48 @@ def join_datasets(
     A condition that one dataset lacks is dropped with a warning. A missing reading of a sensor is
     NaN. DatasetError if the datasets differ in their set-up, or if a recording is given twice.
     """
-    _check_joinable(datasets, SETUP_FIELDS if starts is None else ["joint_names"])
     if starts is None:
-        ends = [float(np.max(d.time + d.duration / 2, initial=0.0)) for d in datasets]
-        times = np.cumsum([0.0, *ends[:-1]])
+        _check_joinable(datasets, SETUP_FIELDS)
+        together = _concatenate(_number_sessions(datasets))
     else:
+        _check_joinable(datasets, ["joint_names"])
         times = _compute_part_starts(starts, datasets[0])
-    parts = [_shift_times(d, time) for d, time in zip(datasets, times, strict=True)]
-    if starts is None:
-        firsts = np.cumsum([0, *[int(d.pose_id.max(initial=-1)) + 1 for d in parts[:-1]]])
-        parts = [
-            dataclasses.replace(
-                d,
-                pose_id=d.pose_id + firsts[k],
-                conditions={**d.conditions, "session": np.full(len(d), float(k))},
-            )
-            for k, d in enumerate(parts)
-        ]
+        parts = [_shift_times(d, time) for d, time in zip(datasets, times, strict=True)]
+        together = _concatenate(parts)
+        at = Configuration(together.q, together.r, together.R)
+        ids = replicate_ids(at, together.measured, together.scatter_q, tolerance)
+        together = dataclasses.replace(together, pose_id=ids)
+    hashes = [d.sha256 for d in datasets]
+    if not all(hashes):
+        return dataclasses.replace(together, sha256=fingerprint(together), recordings=())
+    return dataclasses.replace(
+        together,
+        sha256=hashlib.sha256("".join(hashes).encode()).hexdigest(),
+        recordings=tuple(hashes) if starts is None else (),
+    )
+
+
+def _number_sessions(datasets: Sequence[Dataset]) -> list[Dataset]:
+    """Return each dataset as a session: one after the other, with its number, and with poses of its
+    own."""
+    ends = [float(np.max(d.time + d.duration / 2, initial=0.0)) for d in datasets]
+    times = np.cumsum([0.0, *ends[:-1]])
+    firsts = np.cumsum([0, *[int(d.pose_id.max(initial=-1)) + 1 for d in datasets[:-1]]])
+    sessions = []
+    for k, dataset in enumerate(datasets):
+        d = _shift_times(dataset, times[k])
+        conditions = {**d.conditions, "session": np.full(len(d), float(k))}
+        sessions.append(
+            dataclasses.replace(d, pose_id=d.pose_id + firsts[k], conditions=conditions)
+        )
+    return sessions
+
+
+def _concatenate(parts: Sequence[Dataset]) -> Dataset:
+    """Return one dataset of all samples, with the conditions that all parts have, and warnings."""
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(d, name) for d in parts]) for name in PER_SAMPLE
     }
-    if starts is not None:
-        at = Configuration(columns["q"], columns["r"], columns["R"])
-        columns["pose_id"] = replicate_ids(at, columns["measured"], columns["scatter_q"], tolerance)
     names = dict.fromkeys(name for part in parts for name in part.conditions)
     shared = {
         name: np.concatenate(
@@ -78,7 +97,16 @@ def join_datasets(
             warnings.append(
                 f"{', '.join(lost)} of {d.source} is not used: it was not recorded in every session"
             )
-    together = dataclasses.replace(
+    titles = parts[0].names
+    if NUMBER not in shared:
+        firsts = np.cumsum([0, *map(len, parts[:-1])])
+        titles = {
+            int(first) + k: d.names[number]
+            for first, d in zip(firsts, parts, strict=True)
+            for k, number in enumerate(d.numbers.tolist())
+            if number in d.names
+        }
+    return dataclasses.replace(
         parts[0],
         **columns,
         conditions=shared,
@@ -86,23 +114,7 @@ def join_datasets(
         warnings=tuple(dict.fromkeys(warnings)),
         sides_from_order=any(d.sides_from_order for d in parts),
         source=", ".join(dict.fromkeys(d.source for d in parts)),
-    )
-    firsts = np.cumsum([0, *map(len, parts[:-1])])
-    if NUMBER not in shared:
-        titles = {
-            int(first) + k: d.names[number]
-            for first, d in zip(firsts, parts, strict=True)
-            for k, number in enumerate(d.numbers.tolist())
-            if number in d.names
-        }
-        together = dataclasses.replace(together, names=titles)
-    hashes = [d.sha256 for d in parts]
-    if not all(hashes):
-        return dataclasses.replace(together, sha256=fingerprint(together), recordings=())
-    return dataclasses.replace(
-        together,
-        sha256=hashlib.sha256("".join(hashes).encode()).hexdigest(),
-        recordings=tuple(hashes) if starts is None else (),
+        names=titles,
     )
 
 

@@ -24,6 +24,11 @@ from parallel_cal.recordings.travel import travel
 # of its stated noise.
 MAX_STILL_SHARE = 1e-3
 MAX_STILL_SIGMAS = 5.0
+UNKNOWN_ORDER = (
+    "the tables list the rows in different orders, so the order of visits is not known and no "
+    "direction of a joint follows from it: backlash and hysteresis count as not testable. Sort "
+    "both tables by the order of visits, or name a column time, or columns direction.JOINT"
+)
 
 
 def make_dataset(
@@ -45,26 +50,11 @@ def make_dataset(
     notes += found.describe_clocks(wanted)
     source = " + ".join(str(table.path) for table in given)
     stated = any(name.split(".")[0] in ("direction", "travel") for name in wanted.conditions)
-    from_order = wanted.visits == "in order" and not stated and n > 1
-    visits = _find_visits(given, tables, wanted, q, conditions.get("time"), asks)
-    if from_order and visits is None:
-        from_order = False
-        notes.append(
-            f"{source}: the tables list the rows in different orders, so the order of visits is "
-            "not known and no direction of a joint follows from it: backlash and hysteresis count "
-            "as not testable. Sort both tables by the order of visits, or name a column time, or "
-            "columns direction.JOINT"
-        )
-    if from_order and visits is not None:
-        conditions |= visits.conditions(wanted)
-        notes.append(
-            f"{source}: direction and travel of the joints were taken from the {visits.where}, as "
-            "if each joint moved straight from row to row. If it did not, or if the rows were "
-            "sorted or picked from more visits, name columns direction.JOINT (1 if the reading of "
-            "the joint rose before the stop, else -1), or state visits: unordered in the column "
-            "map. Nothing is known of the sides of the first row: it counts as the middle of a "
-            "backlash"
-        )
+    visits = None
+    if wanted.visits == "in order" and not stated and n > 1:
+        visits = _find_visits(given, tables, wanted, q, conditions.get("time"), asks)
+        conditions |= {} if visits is None else visits.conditions(wanted)
+        notes.append(f"{source}: {UNKNOWN_ORDER if visits is None else visits.note}")
     noise = wanted.noise  # as the manufacturers state it; NaN if they do not
     sigma = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
     pose_id = None
@@ -85,7 +75,7 @@ def make_dataset(
         dropped=tuple(dropped),
         warnings=tuple(notes),
         joint_units=tuple(found.joint_unit(joint) for joint in wanted.joints.values()),
-        sides_from_order=from_order,
+        sides_from_order=visits is not None,
         names={number: name for number, name in names.items() if name},
     )
     # Of the numbers, not of the files: another column map makes other samples of the same files.
@@ -100,6 +90,17 @@ class _Visits:
     q: Array
     samples: np.ndarray
     where: str
+
+    @property
+    def note(self) -> str:
+        """What the directions of the joints were taken from, and how to state better ones."""
+        return (
+            f"direction and travel of the joints were taken from the {self.where}, as if each "
+            "joint moved straight from row to row. If it did not, or if the rows were sorted or "
+            "picked from more visits, name columns direction.JOINT (1 if the reading of the joint "
+            "rose before the stop, else -1), or state visits: unordered in the column map. Nothing "
+            "is known of the sides of the first row: it counts as the middle of a backlash"
+        )
 
     def conditions(self, wanted: ColumnMap) -> dict[str, Array]:
         """Return the conditions direction.JOINT and travel.JOINT of the samples."""

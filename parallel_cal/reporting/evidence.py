@@ -31,7 +31,7 @@ from parallel_cal.reporting.readable import (
     vector,
 )
 from parallel_cal.reporting.report import Report
-from parallel_cal.reporting.results import candidate_table
+from parallel_cal.reporting.tables import candidate_table
 
 MAX_PRINTED_POSES = 20  # as in page.css
 SET_BY_WAYPOINTS = ("direction", "travel")  # conditions that follow from the waypoints of a pose

@@ -21,7 +21,8 @@ from parallel_cal.reporting.readable import (
     with_unit,
 )
 from parallel_cal.reporting.report import Report
-from parallel_cal.reporting.results import PATTERN_SIGNIFICANCE_LEVEL, sample_table
+from parallel_cal.reporting.results import PATTERN_SIGNIFICANCE_LEVEL
+from parallel_cal.reporting.tables import sample_table
 
 MAX_SAMPLE_ROWS = 400  # rows of the table of samples, worst first
 MAX_PRINTED_SAMPLE_ROWS = 100  # as in page.css

@@ -38,7 +38,7 @@ from parallel_cal.reporting.readable import (
     with_unit,
 )
 from parallel_cal.reporting.report import Report
-from parallel_cal.reporting.results import (
+from parallel_cal.reporting.tables import (
     describe_counts,
     errors_table,
     parameter_table,

@@ -19,11 +19,11 @@ from parallel_cal.reporting.markup import (
 )
 from parallel_cal.reporting.readable import unit_of
 from parallel_cal.reporting.report import Report
-from parallel_cal.reporting.results import (
+from parallel_cal.reporting.results import describe_verdict
+from parallel_cal.reporting.tables import (
     budget_sentence,
     budget_table,
     describe_counts,
-    describe_verdict,
     error_tiles,
     iso_sentence,
 )

@@ -162,23 +162,13 @@ def compare_with_model_in_use(
         return Replacement(file, "", (), own, in_use_hash)
     other: _Judged | None = None
     try:
-        in_use = parse_model(model_text(file), str(file))
-        if in_use.mechanism.name != model.mechanism.name:
-            raise SessionError(
-                f"{file} is a {in_use.mechanism.name}, this model is a {model.mechanism.name}"
-            )
-        if dataset is None:
-            raise SessionError("there are no samples to compare them on")
-        fitted_to_these = was_last_fitted_to(in_use, dataset)
-        # What this session fixes or frees is no property of the other model.
-        others = replace(options, fix=(), free=())
-        other = _Judged.of(in_use, dataset, others, fitted_to_these)
+        other = _judge_in_use(file, model, dataset, options)
     except ParallelCalError as error:
         objections.insert(0, f"the model in use cannot be compared with this one: {error}")
-    if other is None or judged is None:
+    if other is None or judged is None or dataset is None:
         return Replacement(file, "", tuple(objections), own, in_use_hash)
-    common = _at_common_samples(judged.errors, other.errors)
-    new, old = (errors.summary for errors in common)
+    models = _compare_at_common_samples(other, judged, dataset)
+    old, new = (one.errors for one in models)
     ratio = held_out_ratio(old, new)
     judgement = _judge_ratio(ratio, new)
     words = (
@@ -187,22 +177,6 @@ def compare_with_model_in_use(
     )
     if ratio is None or ratio > 1 + MAX_NEGLIGIBLE_ERROR_RISE:
         objections.insert(0, words)
-    assert dataset is not None  # otherwise there is no `other`
-    groups = blocks(dataset)
-    models = tuple(
-        ComparedModel(
-            name,
-            tuple(effect.name for effect in one.effects),
-            errors.summary,
-            compute_rms_sigmas(errors, groups),
-            int(errors.judged.sum()),
-            where,
-        )
-        for name, one, errors, where in (
-            ("model in use", in_use, common[1], other.where),
-            ("this model", model, common[0], judged.where),
-        )
-    )
     return Replacement(
         file, words, tuple(objections), own, in_use_hash, new, old, judgement, models
     )
@@ -262,11 +236,12 @@ def _is_text(file: Path) -> bool:
 
 @dataclass(frozen=True)
 class _Judged:
-    """Errors of a model at samples, the origin of these samples, and doubts about its parameters.
+    """A model, its errors at samples, their origin, and doubts about its parameters.
 
     `where` completes a sentence: "at held-out poses".
     """
 
+    model: Model
     errors: Errors
     where: str
     doubts: tuple[str, ...] = ()
@@ -282,23 +257,55 @@ class _Judged:
         """
         if not fitted_to_these:
             found = GivenModel.of(model, dataset, options.joint_sigma).errors
-            return cls(found, PERHAPS_USED if was_fitted(model) else UNSEEN)
+            return cls(model, found, PERHAPS_USED if was_fitted(model) else UNSEEN)
         result: FitResult = fit(model, dataset, options)
         doubts = tuple(list_parameter_warnings(result.model, result.estimate, result.free))
         if result.held_out.summary.is_known:
-            return cls(result.held_out, HELD_OUT, doubts)
-        return cls(result.before, USED, doubts)
+            return cls(model, result.held_out, HELD_OUT, doubts)
+        return cls(model, result.before, USED, doubts)
 
 
-def _at_common_samples(one: Errors, other: Errors) -> tuple[Errors, Errors]:
-    """Return each kind of error at the samples at which both models have it."""
-    mine, theirs = one.parts(), other.parts()
+def _judge_in_use(
+    file: Path, model: Model, dataset: Dataset | None, options: FitOptions
+) -> _Judged:
+    """Judge the model in a file; ParallelCalError if it cannot be compared with `model`."""
+    in_use = parse_model(model_text(file), str(file))
+    if in_use.mechanism.name != model.mechanism.name:
+        raise SessionError(
+            f"{file} is a {in_use.mechanism.name}, this model is a {model.mechanism.name}"
+        )
+    if dataset is None:
+        raise SessionError("there are no samples to compare them on")
+    # What this session fixes or frees is no property of the other model.
+    others = replace(options, fix=(), free=())
+    return _Judged.of(in_use, dataset, others, was_last_fitted_to(in_use, dataset))
+
+
+def _compare_at_common_samples(
+    in_use: _Judged, this: _Judged, dataset: Dataset
+) -> tuple[ComparedModel, ...]:
+    """Return both models with each kind of error at the samples at which both have it."""
+    theirs, mine = in_use.errors.parts(), this.errors.parts()
     for kind in ERRORS:
-        a, b = mine[kind], theirs[kind]
+        a, b = theirs[kind], mine[kind]
         if a.shape == b.shape:
             known = np.isfinite(a) & np.isfinite(b)
-            mine[kind], theirs[kind] = (np.where(known, part, np.nan) for part in (a, b))
-    return Errors(**mine), Errors(**theirs)
+            theirs[kind], mine[kind] = (np.where(known, part, np.nan) for part in (a, b))
+    groups = blocks(dataset)
+    return tuple(
+        ComparedModel(
+            name,
+            tuple(effect.name for effect in one.model.effects),
+            errors.summary,
+            compute_rms_sigmas(errors, groups),
+            int(errors.judged.sum()),
+            one.where,
+        )
+        for name, one, errors in (
+            ("model in use", in_use, Errors(**theirs)),
+            ("this model", this, Errors(**mine)),
+        )
+    )
 
 
 def _judge_ratio(ratio: float | None, new: Summary) -> str:

@@ -8,7 +8,7 @@ Pixels are counted as in OpenCV: the centre of the top left pixel is (0, 0).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -95,16 +95,39 @@ class FlatBoard:
         return found
 
 
+@dataclass(frozen=True)
+class Imager:
+    """What makes grey levels of light.
+
+    A white surface has the grey level `white` at an `exposure` of 1, a black one `black`. `noise`
+    is 1 sigma of the read noise in grey levels, `shot_noise` the variance per grey level.
+    """
+
+    exposure: float = 1.0
+    white: float = 200.0
+    black: float = 25.0
+    noise: float = 1.0
+    shot_noise: float = 0.02
+
+    def expose(self, light: Array, falloff: Array, rng: np.random.Generator | None = None) -> Grey:
+        """Return the image (height, width) of light from 0 to 1, of which the share `falloff`
+        (height, width) arrives; without `rng`, it has no noise."""
+        grey = self.black + (self.white - self.black) * light
+        grey = self.exposure * grey * falloff
+        if rng is not None:
+            sigma = np.sqrt(self.noise**2 + self.shot_noise * np.maximum(grey, 0.0))
+            grey = grey + sigma * rng.standard_normal(grey.shape)
+        return np.clip(np.round(grey), 0.0, SATURATION).astype(np.uint8)
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A camera with an image of `size` (width, height) px.
 
     `focal` and `centre` are in px. `distortion` is k1 k2 p1 p2 k3 of a pinhole camera (Brown 1971),
     or k1 k2 k3 k4 of a `fisheye`, whose image radius is a polynomial of the ray's angle (Kannala
-    and Brandt 2006). `blur` (px) is 1 sigma of the lens. A white surface has the grey level `white`
-    at an `exposure` of 1, a black one `black`; the light falls off by `shading` from the centre to
-    the corner of the image. `noise` is 1 sigma of the read noise in grey levels, `shot_noise` the
-    variance per grey level.
+    and Brandt 2006). `blur` (px) is 1 sigma of the lens. The light falls off by `shading` from the
+    centre to the corner of the image. `background` is the brightness beside the board, from 0 to 1.
     """
 
     size: tuple[int, int] = (1280, 1024)
@@ -113,13 +136,9 @@ class Camera:
     distortion: Sequence[float] = ()
     fisheye: bool = False
     blur: float = 0.8
-    exposure: float = 1.0
-    white: float = 200.0
-    black: float = 25.0
     background: float = 0.45
     shading: float = 0.15
-    noise: float = 1.0
-    shot_noise: float = 0.02
+    imager: Imager = field(default_factory=Imager)
 
     def project(self, points: Array) -> Array:
         """Return the pixels (..., 2) of points (..., 3) in the camera's frame, m; z is forward."""
@@ -144,12 +163,7 @@ class Camera:
         """
         poses = list(zip(positions.reshape(-1, 3), rotations.reshape(-1, 3, 3), strict=True))
         light = np.mean([self._light(board, r, R) for r, R in poses], axis=0)
-        grey = self.black + (self.white - self.black) * _blur(light, self.blur)
-        grey = self.exposure * grey * self._falloff
-        if rng is not None:
-            sigma = np.sqrt(self.noise**2 + self.shot_noise * np.maximum(grey, 0.0))
-            grey = grey + sigma * rng.standard_normal(grey.shape)
-        return np.clip(np.round(grey), 0.0, SATURATION).astype(np.uint8)
+        return self.imager.expose(_blur(light, self.blur), self._falloff, rng)
 
     def _light(self, board: FlatBoard, r: Array, R: Array) -> Array:
         """Return the brightness (height, width) from 0 to 1 before the lens blurs it."""

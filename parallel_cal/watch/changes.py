@@ -95,9 +95,9 @@ class Series:
     def absorb(self, scatter: float) -> Absorbed:
         """Integrate out a scatter between the recordings, in tolerances."""
         visits = self.visits
-        A = np.array([visit.information for visit in visits])
-        g = np.array([visit.pull for visit in visits])
-        squares, log_det = sum(visit.squares for visit in visits), 0.0
+        A = np.array([visit.evidence.information for visit in visits])
+        g = np.array([visit.evidence.pull for visit in visits])
+        squares, log_det = sum(visit.evidence.squares for visit in visits), 0.0
         if scatter:
             L = scatter * ~self.is_warmth
             LA, Lg = L[:, None] * A, L * g
@@ -108,7 +108,7 @@ class Series:
             taken = LA.transpose(0, 2, 1) @ solved
             A, g = A - taken[:, :, :-1], g - taken[:, :, -1]
         nu = visits[0].noise_weight
-        D = nu + sum(visit.rows for visit in visits)
+        D = nu + sum(visit.evidence.rows for visit in visits)
         return Absorbed(A, g, nu + squares, D, log_det, scatter)
 
 
@@ -249,11 +249,11 @@ def weigh_scatter(fits: Sequence[tuple[Fit, float]], series: Series) -> np.ndarr
     a part of the squares of the innovations, whose sum is C, and enlarge their covariance (see
     `compare_scatter`). They count as much as the fit that these innovations are beside."""
     visits = series.visits
-    each = [(visit.explained, visit.log_det) for visit in visits]
+    each = [(visit.innovation.explained, visit.innovation.log_det) for visit in visits]
     explained, log_det = np.cumsum(np.array(each)[::-1], axis=0)[::-1].transpose(1, 0, 2, 3)
-    C = visits[0].noise_weight + sum(visit.innovation for visit in visits)
-    D = visits[0].noise_weight + sum(visit.innovation_rows for visit in visits)
-    log_p = np.array([fits[visit.fit][1] for visit in visits])[:, None, None]
+    C = visits[0].noise_weight + sum(visit.innovation.squares for visit in visits)
+    D = visits[0].noise_weight + sum(visit.innovation.rows for visit in visits)
+    log_p = np.array([fits[visit.innovation.fit][1] for visit in visits])[:, None, None]
     return np.asarray(log_p - D / 2 * np.log1p(-explained / C) - log_det / 2)
 
 
@@ -291,7 +291,7 @@ def smallest_steps(series: Series, following: Visit, share: float) -> np.ndarray
     total = np.full((len(series.names), len(steps)), -np.inf)
     for (fit, log_p), (absorbed, prior) in zip(own, pairs, strict=True):
         m = Fit.of(absorbed, prior).score(last)[1][0]
-        known = replace(fit, C=fit.C + following.rows, D=fit.D + following.rows)
+        known = replace(fit, C=fit.C + following.evidence.rows, D=fit.D + following.evidence.rows)
         log_b = known.log_bayes(
             steps[None] * m[:, None], np.broadcast_to(m[:, None], (len(m), len(steps)))
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,10 +32,76 @@ MAX_SCATTER_ROWS = 150  # rows of the residual in which it is sought: singular v
 
 
 @dataclass(frozen=True)
-class Visit:
-    """The evidence of one recording about changes d (n,) of the parameters, in tolerances:
+class Evidence:
+    """The evidence of residuals about changes d (n,) of the parameters, in tolerances:
 
         log L(d) = pull.d - d.information.d / 2 - squares / 2
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters (n).
+    information : array (n, n)
+    pull : array (n,)
+    squares : float
+        Sum of squares of the residuals, in units of the noise.
+    rows : int
+        Number of independent residuals.
+    """
+
+    names: tuple[str, ...]
+    information: np.ndarray
+    pull: np.ndarray
+    squares: float
+    rows: int
+
+    def __add__(self, other: Evidence) -> Evidence:
+        """The evidence of all residuals about the same parameters."""
+        return Evidence(
+            self.names,
+            self.information + other.information,
+            self.pull + other.pull,
+            self.squares + other.squares,
+            self.rows + other.rows,
+        )
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """The residuals beside what earlier recordings let expect, and what scatter explains of them.
+
+    Attributes
+    ----------
+    squares, rows : float, int
+        Their sum of squares, and their number.
+    explained, log_det : array (n + 1, sizes)
+        The part of the squares that a part explains which scatters from sample to sample, by this
+        size, and the logarithm of the determinant of its covariance; the last row is for noise of
+        all readings.
+    fit : int
+        The number of the fit that let it expect so.
+    """
+
+    squares: float
+    rows: int
+    explained: np.ndarray
+    log_det: np.ndarray
+    fit: int
+
+    def __add__(self, later: Innovation) -> Innovation:
+        """Of both recordings; the fit is that of the later one."""
+        return Innovation(
+            self.squares + later.squares,
+            self.rows + later.rows,
+            self.explained + later.explained,
+            self.log_det + later.log_det,
+            later.fit,
+        )
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What one recording tells about changes of the parameters.
 
     Attributes
     ----------
@@ -43,22 +109,12 @@ class Visit:
         The recording, and the hash of its data.
     time : float
         When it was recorded, s since 1970.
-    samples, rows : int
-        Number of samples, and of their independent residuals.
-    names : tuple of str
-        The parameters (n).
-    information : array (n, n)
-    pull : array (n,)
-    squares : float
-        Sum of squares of the residuals, in units of the noise.
-    explained, log_det : array (n + 1, sizes)
-        The part of the squares that a part explains which scatters from sample to sample, by this
-        size, and the logarithm of the determinant of its covariance; the last row is for noise of
-        all readings.
-    innovation, innovation_rows : float, int
-        Sum of squares, and number, of the residuals beside what earlier recordings let expect.
-    fit : int
-        The number of the fit that let it expect so.
+    samples : int
+        Number of samples.
+    evidence : Evidence
+        Of its residuals.
+    innovation : Innovation
+        What earlier recordings do not explain of them.
     known_noise : bool
         Whether the noise was stated or measured.
     noise : float
@@ -69,18 +125,14 @@ class Visit:
     sha256: str
     time: float
     samples: int
-    rows: int
-    names: tuple[str, ...]
-    information: np.ndarray
-    pull: np.ndarray
-    squares: float
-    explained: np.ndarray
-    log_det: np.ndarray
-    innovation: float
-    innovation_rows: int
-    fit: int
+    evidence: Evidence
+    innovation: Innovation
     known_noise: bool
     noise: float = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.evidence.names
 
     @property
     def noise_weight(self) -> float:
@@ -91,9 +143,12 @@ class Visit:
         """Both recordings as one, which shows no change between them."""
         names = tuple(dict.fromkeys((*self.names, *later.names)))
         one, two = self.select(names), later.select(names)
-        likelihood = ("samples", "rows", "information", "pull", "squares")
-        added = (*likelihood, "explained", "log_det", "innovation", "innovation_rows")
-        return replace(two, **{key: getattr(one, key) + getattr(two, key) for key in added})
+        return replace(
+            two,
+            samples=one.samples + two.samples,
+            evidence=one.evidence + two.evidence,
+            innovation=one.innovation + two.innovation,
+        )
 
     def select(self, names: tuple[str, ...]) -> Visit:
         """The evidence about these parameters; none about those that it does not contain."""
@@ -102,38 +157,61 @@ class Visit:
         n, own = len(names), [name for name in names if name in self.names]
         to, of = [names.index(x) for x in own], [self.names.index(x) for x in own]
         information, pull = np.zeros((n, n)), np.zeros(n)
-        information[np.ix_(to, to)] = self.information[np.ix_(of, of)]
-        pull[to] = self.pull[of]
-        scatter = np.zeros((2, n + 1, len(SIZES)))
+        information[np.ix_(to, to)] = self.evidence.information[np.ix_(of, of)]
+        pull[to] = self.evidence.pull[of]
+        explained, log_det = np.zeros((2, n + 1, len(SIZES)))
         of_all = [*of, len(self.names)]
-        scatter[0, [*to, n]], scatter[1, [*to, n]] = self.explained[of_all], self.log_det[of_all]
-        return replace(
-            self,
-            names=names,
-            information=information,
-            pull=pull,
-            explained=scatter[0],
-            log_det=scatter[1],
-        )
+        explained[[*to, n]] = self.innovation.explained[of_all]
+        log_det[[*to, n]] = self.innovation.log_det[of_all]
+        evidence = replace(self.evidence, names=names, information=information, pull=pull)
+        innovation = replace(self.innovation, explained=explained, log_det=log_det)
+        return replace(self, evidence=evidence, innovation=innovation)
 
     def document(self) -> dict[str, Any]:
         """The visit as JSON data; of the symmetric information, the lower triangle."""
-        lower = self.information[np.tril_indices(len(self.names))]
-        return {f.name: getattr(self, f.name) for f in fields(self)} | {"information": lower}
+        evidence, innovation = self.evidence, self.innovation
+        return {
+            "name": self.name,
+            "sha256": self.sha256,
+            "time": self.time,
+            "samples": self.samples,
+            "rows": evidence.rows,
+            "names": evidence.names,
+            "information": evidence.information[np.tril_indices(len(self.names))],
+            "pull": evidence.pull,
+            "squares": evidence.squares,
+            "explained": innovation.explained,
+            "log_det": innovation.log_det,
+            "innovation": innovation.squares,
+            "innovation_rows": innovation.rows,
+            "fit": innovation.fit,
+            "known_noise": self.known_noise,
+            "noise": self.noise,
+        }
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Visit:
         """Read what `document` wrote; KeyError, TypeError or ValueError for anything else."""
-        given = {field.name: document[field.name] for field in fields(cls)}
-        names, n = tuple(map(str, given["names"])), len(given["names"])
+        names, n = tuple(map(str, document["names"])), len(document["names"])
         information = np.zeros((n, n))
-        information[np.tril_indices(n)] = np.array(given["information"], float)
+        information[np.tril_indices(n)] = np.array(document["information"], float)
         information += np.tril(information, -1).T
-        pull = np.array(given["pull"], float).reshape(n)
-        arrays = {"information": information, "pull": pull}
-        for key in ("explained", "log_det"):
-            arrays[key] = np.array(given[key], float).reshape(n + 1, len(SIZES))
-        return cls(**given | {"names": names} | arrays)
+        pull = np.array(document["pull"], float).reshape(n)
+        explained, log_det = (
+            np.array(document[key], float).reshape(n + 1, len(SIZES))
+            for key in ("explained", "log_det")
+        )
+        squares, rows = document["innovation"], document["innovation_rows"]
+        return cls(
+            document["name"],
+            document["sha256"],
+            document["time"],
+            document["samples"],
+            Evidence(names, information, pull, document["squares"], document["rows"]),
+            Innovation(squares, rows, explained, log_det, document["fit"]),
+            document["known_noise"],
+            document["noise"],
+        )
 
 
 @dataclass(frozen=True)
@@ -253,20 +331,17 @@ def visit_of(
         noise = estimate_noise(r[::every], J[::every], prior, dataset.source)
     flat, columns, r, J = (one / noise**0.5 for one in (flat, columns, r, J))
     expected = expected or Expected(names, np.zeros(len(names)), prior)
-    scatter = compare_scatter(r[::every], J[::every], expected.select(names))
+    evidence = Evidence(names, columns.T @ columns, -columns.T @ flat, float(flat @ flat), rows)
+    innovation = compare_scatter(r[::every], J[::every], expected.select(names))
+    known_noise = not observations.noise_assumed
     return Visit(
         dataset.source,
         dataset.sha256,
         time,
         len(dataset),
-        rows,
-        names,
-        columns.T @ columns,
-        -columns.T @ flat,
-        float(flat @ flat),
-        *scatter,
-        expected.fit,
-        not observations.noise_assumed,
+        evidence,
+        innovation,
+        known_noise,
         noise,
     )
 
@@ -318,11 +393,8 @@ def estimate_noise(r: np.ndarray, J: np.ndarray, prior: np.ndarray, source: str)
     return v
 
 
-def compare_scatter(
-    r: np.ndarray, J: np.ndarray, expected: Expected
-) -> tuple[np.ndarray, np.ndarray, float, int]:
-    """What parts that scatter from sample to sample explain (n + 1, sizes), their log determinants
-    (n + 1, sizes), and the squares of the innovation with their number.
+def compare_scatter(r: np.ndarray, J: np.ndarray, expected: Expected) -> Innovation:
+    """The innovation, and what parts explain of it that scatter from sample to sample.
 
     With the columns J (N, rows, n) and the parameters p ~ N(m, s^2 P) that earlier recordings
     leave, the residual is N(-J m, s^2 (1 + J P J')), with the noise s. The innovation y is the
@@ -352,4 +424,4 @@ def compare_scatter(
         gain = (SIZES[:, None] * size) ** 2
         explained[k] = np.sum(gain / (1 + gain) * along**2, axis=1)
         log_det[k] = np.sum(np.log1p(gain), axis=1)
-    return explained, log_det, float(y @ y), int(real.sum())
+    return Innovation(float(y @ y), int(real.sum()), explained, log_det, expected.fit)

@@ -274,10 +274,10 @@ class Watch:
 
         begin = self.since(next(iter(self.parts)))[0] if self.alarm else np.inf
         before = [one for one in self.visits if one.time <= begin]
-        rows = sum(one.innovation_rows for one in before)
+        rows = sum(one.innovation.rows for one in before)
         if not rows or not all(one.known_noise for one in before):
             return None
-        squares = sum(one.innovation for one in before)
+        squares = sum(one.innovation.squares for one in before)
         p_value = float(chi2.sf(squares, rows))
         ratio = float(np.sqrt(squares / rows))
         return Misfit(ratio, p_value) if p_value < SIGNIFICANCE_LEVEL else None
@@ -286,7 +286,8 @@ class Watch:
     def sights(self) -> tuple[Sight, ...]:
         """The smallest step of each parameter that the next recording would show."""
         series, limit = self.series, self.false_alarm_days * DAY
-        last = replace(series.visits[-1], pull=0 * series.visits[-1].pull)
+        last = series.visits[-1]
+        last = replace(last, evidence=replace(last.evidence, pull=0 * last.evidence.pull))
         step = float(series.elapsed[-1]) or DAY
         return tuple(
             Sight(name, self._table[name][1], self._table[name][0] * size)

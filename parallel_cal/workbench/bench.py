@@ -479,7 +479,7 @@ def _save(
 ) -> Done:
     """Write the present model to `output`, or return the question to confirm (in the worker)."""
     from parallel_cal.reporting.blocks import as_rows
-    from parallel_cal.reporting.results import saving_table
+    from parallel_cal.reporting.tables import saving_table
     from parallel_cal.session.saving import Replacement, SaveRefused
 
     def compared(found: Replacement) -> dict[str, Any] | None:

@@ -7,7 +7,7 @@ poses are drawn on the robot.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,12 @@ ORIENTATIONS = {
     QUATERNION: ("qx", "qy", "qz", "qw"),
     ANGLE_KIND: ("first angle", "second angle", "third angle"),
     VECTOR: ("x of the vector", "y of the vector", "z of the vector"),
+}
+# The keys of a column map.
+ORIENTATION_KEYS = {
+    QUATERNION: "orientation",
+    ANGLE_KIND: "angles",
+    VECTOR: "rotation_vector",
 }
 AXES = {
     "xyz": "about fixed x, y, z",
@@ -200,26 +206,12 @@ class ColumnForm:
         unclear = not self._are_clear(place) if any(place) else not other
         with self._row("position", unclear and not known):
             self._position = [self._pick(axis, guessed[axis]) for axis in "xyz"]
-            self._position_unit = self._pick_unit("unit of x, y, z", LENGTHS)
+            self._position_unit = _pick_unit("unit of x, y, z", LENGTHS)
         with self._row("orientation", all(found["angles"]) and not (turned or known)):
             guesses = {QUATERNION: [guessed[name] for name in ORIENTATIONS[QUATERNION]]}
             guesses |= dict.fromkeys((ANGLE_KIND, VECTOR), found["angles"])
-            self._kind = ui.select(
-                list(ORIENTATIONS), value=QUATERNION if turned else NONE, label="orientation"
-            ).classes("w-48")
-            self._orientations = {
-                kind: list(map(self._pick, ORIENTATIONS[kind], guess))
-                for kind, guess in guesses.items()
-            }
-            for kind, columns in self._orientations.items():
-                for column in columns:
-                    column.bind_visibility_from(self._kind, "value", value=kind)
-            self._axes = ui.select(AXES, value="xyz", label="rotations").classes("w-48")
-            self._angle_unit = self._pick_unit("unit of the angles", ANGLES)
-            self._axes.bind_visibility_from(self._kind, "value", value=ANGLE_KIND)
-            self._angle_unit.bind_visibility_from(
-                self._kind, "value", lambda kind: kind in (ANGLE_KIND, VECTOR)
-            )
+            kind = QUATERNION if turned else NONE
+            self._orientation = _OrientationFields(self._pick, guesses, kind)
         given: dict[str, str | None] = found["conditions"]
         sides = [f"direction.{joint}" for joint in found["joints"]]
         with self._row("sides"):
@@ -243,17 +235,13 @@ class ColumnForm:
             moves = set(found["joints"].values())
             units = {"joint": moves.pop() if len(moves) == 1 else "m or rad"}
             units |= {"position": "m", "orientation": "rad"}
-            self._noise = {}
-            for name, si in units.items():
-                unit, factor = NOISE_UNITS[si]
-                entry = ui.number(f"{name} [{unit}]", min=0, format="%.3g").classes("w-40")
-                self._noise[name] = (entry, factor)
+            self._noise = _NoiseFields(units)
         self._readings: dict[str, tuple[Any, Any]] = {}
         if found["readings"]:
             doubts = [c for c in found["readings"].values() if not self._are_clear([c])]
             with self._row("sensor readings", bool(doubts) and not known):
                 for name, column in found["readings"].items():
-                    unit = self._pick_unit(f"unit of {name}", (*LENGTHS, *ANGLES, PIXEL))
+                    unit = _pick_unit(f"unit of {name}", (*LENGTHS, *ANGLES, PIXEL))
                     self._readings[name] = self._pick(name, column), unit
         ui.label().classes("text-sm").props("id=unused").bind_text_from(self, "unused")
         self._folded.bind_text_from(self, "understood")
@@ -275,7 +263,7 @@ class ColumnForm:
 
     def _list_unused(self) -> list[str]:
         chosen = [column for column, _, _ in self._joints.values()]
-        chosen += [*self._position, *self._chosen_orientation, *self._conditions.values()]
+        chosen += [*self._position, *self._orientation.columns, *self._conditions.values()]
         chosen += [column for column, _ in self._readings.values()]
         used = {one.value for one in (*chosen, self._group, self._name)}
         return [word for word in self._header if word and word not in used]
@@ -284,18 +272,15 @@ class ColumnForm:
         """Whether all columns were found, and state their units."""
         return all(word in self._with_unit for word in columns)
 
-    @property
-    def _chosen_orientation(self) -> list[Any]:
-        return self._orientations.get(self._kind.value, [])
-
     def find_problem(self) -> str:
         """Say what needs a column or a unit and has none, or which two quantities have the same
         column; empty if none. A position is complete, or not measured."""
         asked = {name: column for name, (column, _, _) in self._joints.items()}
         if any(one.value for one in self._position):
             asked |= dict(zip("xyz", self._position, strict=True))
-        each = zip(ORIENTATIONS[self._kind.value], self._chosen_orientation, strict=True)
-        asked |= {f"{self._kind.value} ({name})": column for name, column in each}
+        kind = self._orientation.kind
+        each = zip(ORIENTATIONS[kind], self._orientation.columns, strict=True)
+        asked |= {f"{kind} ({name})": column for name, column in each}
         if missing := [name for name, column in asked.items() if not column.value]:
             words = f"choose a column for {', '.join(missing)}"
             if set(missing) == set(self._joints) and all(one.value for one in self._position):
@@ -334,15 +319,7 @@ class ColumnForm:
         if any(one.value for one in self._position):
             found["position"] = {"columns": [one.value for one in self._position]}
             found["position"] |= _without_empty({"unit": _stated(self._position_unit.value)})
-        columns = [one.value for one in self._chosen_orientation]
-        if self._kind.value == QUATERNION:
-            found["orientation"] = columns
-        elif self._kind.value != NONE:
-            unit = _without_empty({"unit": _stated(self._angle_unit.value)})
-            if self._kind.value == ANGLE_KIND:
-                found["angles"] = {"columns": columns, "axes": self._axes.value} | unit
-            else:
-                found["rotation_vector"] = {"columns": columns} | unit
+        found |= self._orientation.document()
         readings = {
             name: {"column": column.value} | _without_empty({"unit": _stated(unit.value)})
             for name, (column, unit) in self._readings.items()
@@ -356,10 +333,7 @@ class ColumnForm:
         if self._name.value:
             found["name"] = self._name.value
         found["visits"] = "in order" if self._in_order.value else "unordered"
-        stated = {k: (entry.value, factor) for k, (entry, factor) in self._noise.items()}
-        # Twelve digits: 5 um are 5e-06 m, not 4.9999999999999996e-06.
-        si = {k: float(f"{value * factor:.12g}") for k, (value, factor) in stated.items() if value}
-        found["noise"] = si
+        found["noise"] = self._noise.document()
         return found
 
     def _fill(self, document: Mapping[str, Any]) -> None:
@@ -372,17 +346,7 @@ class ColumnForm:
         position = document.get("position", {"columns": [None] * 3})
         _choose(self._position, position["columns"])
         self._position_unit.value = position.get("unit", IN_HEADER)
-        self._kind.value = NONE
-        keys = {QUATERNION: "orientation", ANGLE_KIND: "angles", VECTOR: "rotation_vector"}
-        for kind, key in keys.items():
-            if key in document:
-                stated = document[key]
-                self._kind.value = kind
-                columns = stated if kind == QUATERNION else stated["columns"]
-                _choose(self._orientations[kind], columns)
-                if kind != QUATERNION:
-                    self._angle_unit.value = stated.get("unit", IN_HEADER)
-                    self._axes.value = stated.get("axes", self._axes.value)
+        self._orientation.fill(document)
         for name, (column, unit) in self._readings.items():
             stated = document.get("readings", {}).get(name, {})
             column.value, unit.value = stated.get("column"), stated.get("unit", IN_HEADER)
@@ -390,9 +354,7 @@ class ColumnForm:
             column.value = document["conditions"].get(name)
         self._group.value, self._name.value = document.get("group"), document.get("name")
         self._in_order.value = document["visits"] == "in order"
-        for name, (entry, factor) in self._noise.items():
-            sigma = document["noise"].get(name)
-            entry.value = None if sigma is None else sigma / factor
+        self._noise.fill(document["noise"])
 
     def _show_rows(self, found: Mapping[str, Any]) -> None:
         ui.label(f"{found['count']} rows; the first ones:").classes("text-sm")
@@ -412,7 +374,7 @@ class ColumnForm:
         with self._row(name, not (known or self._are_clear([guess]))):
             column = self._pick(f"column of {name}", guess)
             units = LENGTHS | ANGLES if unit == "m" else ANGLES | LENGTHS
-            chosen = self._pick_unit(f"unit of {name}", units)
+            chosen = _pick_unit(f"unit of {name}", units)
             travel = None
             if unit == "m":
                 travel = ui.input("travel per turn", placeholder="71.2 mm").classes("w-36")
@@ -432,8 +394,90 @@ class ColumnForm:
     def _pick(self, label: str, guess: str | None) -> Any:
         return ui.select(self._header, value=guess, label=label, clearable=True).classes("w-48")
 
-    def _pick_unit(self, label: str, units: Sequence[str] | Mapping[str, float]) -> Any:
-        return ui.select([IN_HEADER, *units], value=IN_HEADER, label=label).classes("w-36")
+
+class _OrientationFields:
+    """The kind of the orientation, and the columns, axes and unit that a kind needs."""
+
+    def __init__(
+        self,
+        pick: Callable[[str, str | None], Any],
+        guesses: Mapping[str, Sequence[str | None]],
+        kind: str,
+    ):
+        """`pick` makes the field of a column, with the guess of each kind."""
+        self._kind = ui.select(list(ORIENTATIONS), value=kind, label="orientation").classes("w-48")
+        self._columns = {
+            kind: list(map(pick, ORIENTATIONS[kind], guess)) for kind, guess in guesses.items()
+        }
+        for kind, columns in self._columns.items():
+            for column in columns:
+                column.bind_visibility_from(self._kind, "value", value=kind)
+        self._axes = ui.select(AXES, value="xyz", label="rotations").classes("w-48")
+        self._unit = _pick_unit("unit of the angles", ANGLES)
+        self._axes.bind_visibility_from(self._kind, "value", value=ANGLE_KIND)
+        self._unit.bind_visibility_from(
+            self._kind, "value", lambda kind: kind in (ANGLE_KIND, VECTOR)
+        )
+
+    @property
+    def kind(self) -> str:
+        return str(self._kind.value)
+
+    @property
+    def columns(self) -> list[Any]:
+        """The fields of the chosen kind."""
+        return self._columns.get(self.kind, [])
+
+    def document(self) -> dict[str, Any]:
+        """Return its part of the column map."""
+        columns = [one.value for one in self.columns]
+        if self.kind == NONE:
+            return {}
+        if self.kind == QUATERNION:
+            return {ORIENTATION_KEYS[QUATERNION]: columns}
+        axes = {"axes": self._axes.value} if self.kind == ANGLE_KIND else {}
+        unit = _without_empty({"unit": _stated(self._unit.value)})
+        return {ORIENTATION_KEYS[self.kind]: {"columns": columns, **axes, **unit}}
+
+    def fill(self, document: Mapping[str, Any]) -> None:
+        """Choose what a column map states."""
+        self._kind.value = NONE
+        for kind, key in ORIENTATION_KEYS.items():
+            if key in document:
+                stated = document[key]
+                self._kind.value = kind
+                _choose(self._columns[kind], stated if kind == QUATERNION else stated["columns"])
+                if kind != QUATERNION:
+                    self._unit.value = stated.get("unit", IN_HEADER)
+                    self._axes.value = stated.get("axes", self._axes.value)
+
+
+class _NoiseFields:
+    """The standard deviations of joints, position and orientation, in the units of people."""
+
+    def __init__(self, units: Mapping[str, str]):
+        """`units` are the SI units of these."""
+        self._entries = dict[str, tuple[Any, float]]()
+        for name, si in units.items():
+            unit, factor = NOISE_UNITS[si]
+            entry = ui.number(f"{name} [{unit}]", min=0, format="%.3g").classes("w-40")
+            self._entries[name] = (entry, factor)
+
+    def document(self) -> dict[str, float]:
+        """Return what is stated, in SI units."""
+        stated = {k: (entry.value, factor) for k, (entry, factor) in self._entries.items()}
+        # Twelve digits: 5 um are 5e-06 m, not 4.9999999999999996e-06.
+        return {k: float(f"{v * factor:.12g}") for k, (v, factor) in stated.items() if v}
+
+    def fill(self, sigmas: Mapping[str, float]) -> None:
+        """Show these standard deviations (SI), nothing for others."""
+        for name, (entry, factor) in self._entries.items():
+            sigma = sigmas.get(name)
+            entry.value = None if sigma is None else sigma / factor
+
+
+def _pick_unit(label: str, units: Sequence[str] | Mapping[str, float]) -> Any:
+    return ui.select([IN_HEADER, *units], value=IN_HEADER, label=label).classes("w-36")
 
 
 def _choose(fields: Sequence[Any], values: Sequence[str | None]) -> None:

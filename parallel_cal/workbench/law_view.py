@@ -11,7 +11,7 @@ from parallel_cal.discovery.law import Discovery
 from parallel_cal.reporting.blocks import as_rows
 from parallel_cal.reporting.figures import law_over_shape
 from parallel_cal.reporting.readable import write_micro
-from parallel_cal.reporting.results import law_table
+from parallel_cal.reporting.tables import law_table
 
 
 def make_law_view(found: Discovery, files: Sequence[Path]) -> dict[str, Any]:

@@ -9,15 +9,12 @@ from typing import Any
 from nicegui import run, ui
 
 from parallel_cal.base.sample_names import format_sample
-from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.reporting.colours import MEASURED
-from parallel_cal.reporting.names import name_effects, name_step, title_of
+from parallel_cal.reporting.names import name_effects, title_of
 from parallel_cal.reporting.readable import (
     ABOUT_SAMPLES,
-    format_judged_error,
-    write_micro,
 )
-from parallel_cal.workbench.bench import CERTIFICATE_FILE, Bench
+from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.first_screen import (
     MachineCard,
     Strip,
@@ -27,6 +24,7 @@ from parallel_cal.workbench.first_screen import (
 )
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import READING, ErrorsCard, Header, Notice
+from parallel_cal.workbench.history_card import draw_history_card
 from parallel_cal.workbench.import_dialog import ImportDialog
 from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
@@ -174,7 +172,7 @@ class Window:
                 self._samples(view)
                 self._parameters(view)
             if self.bench.view is not None:
-                self._history()
+                draw_history_card(self.bench, self.layer)
             if complete:
                 draw_plan_card(self.bench, view)
 
@@ -254,100 +252,6 @@ class Window:
 
         shown.on_value_change(toggle)
         shown.set_value(key in self.opened)
-
-    # ------------------------------------------------------------------ history
-
-    def _history(self) -> None:
-        bench, session = self.bench, self.bench.session
-        with card("History"):
-            rows = [
-                {
-                    "step": name_step(state.step),
-                    "samples": state.samples,
-                    "before": format_judged_error(state.before, state.sigmas_before),
-                    "after": format_judged_error(state.errors, state.sigmas),
-                    "out": len(state.excluded),
-                    "verdict": name_effects(
-                        write_micro(describe_verdict(state.verdict, state.summary) or state.against)
-                    ),
-                    "reason": state.reason,
-                }
-                for state in session.history()
-            ]
-            reasons = [("reason", "reason")] * any(row["reason"] for row in rows)
-            table(
-                [
-                    ("step", "step"),
-                    ("samples", "samples"),
-                    ("before", "validation error before"),
-                    ("after", "validation error after"),
-                    ("out", "excluded samples"),
-                    ("verdict", "verdict"),
-                    *reasons,
-                ],
-                rows,
-                "history",
-            )
-            with ui.row().classes("items-center"):
-                ui.select(
-                    list(session.record.branches),
-                    value=session.record.branch,
-                    label="branch",
-                    on_change=lambda e: bench.run_now("switch", e.value),
-                ).classes("w-48").set_enabled(not bench.busy)
-                name = ui.input("name of new branch").classes("w-48")
-                ui.button(
-                    "Branch", on_click=lambda: bench.run_now("start_branch", name.value or "")
-                ).props("dense outline")
-                if len(session.record.branches) > 1:
-                    ui.button("Compare", on_click=self._compare).props("dense outline")
-            with ui.row().classes("items-center"):
-                ui.button("Certificate", on_click=self._certify).props("dense outline")
-                for words, as_pdf in (("Report", False), ("Report as PDF", True)):
-                    make = ui.button(words, on_click=partial(bench.make_report, as_pdf))
-                    make.props("dense outline").set_enabled(bench.has_samples and not bench.busy)
-                for file in bench.reports:
-                    download = ui.button(
-                        f"Download {file.name}", on_click=partial(ui.download.file, file)
-                    )
-                    download.props("dense no-caps")
-            if len(session.record.branches) > 1:
-                branches = [
-                    {
-                        "branch": k,
-                        "step": name_step(s.step),
-                        "after": format_judged_error(s.errors, s.sigmas),
-                        "out": len(s.excluded),
-                    }
-                    for k, s in session.compared().items()
-                ]
-                table(
-                    [
-                        ("branch", "branch"),
-                        ("step", "last step"),
-                        ("after", "validation error"),
-                        ("out", "excluded samples"),
-                    ],
-                    branches,
-                    "branches",
-                )
-
-    def _certify(self) -> None:
-        from parallel_cal.workbench.certificate_dialog import (
-            CertificateDialog,  # imports NumPy, which nothing else here needs
-        )
-
-        with self.layer:
-            CertificateDialog(self.bench.session.folder / CERTIFICATE_FILE)
-
-    async def _compare(self) -> None:
-        from parallel_cal.workbench.branch_comparison import (
-            BranchComparison,  # imports NumPy, which nothing else here needs
-        )
-
-        with self.layer:
-            comparison = BranchComparison(self.bench.session)
-        await comparison.show_differences(self.bench.session)
 
     # ------------------------------------------------------------------ samples, parameters, next
 

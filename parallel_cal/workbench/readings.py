@@ -21,26 +21,10 @@ def signals(folder: Path, sample: int) -> dict[str, Any]:
     except ParallelCalError as error:
         return {"words": str(error)}
     traces = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": name,
-            "x": found.time.round(4),
-            "y": (1e6 * q).round(2),
-            "xaxis": "x",
-            "yaxis": "y",
-        }
+        _draw_line(name, found.time, q, "lines", "y")
         for name, q in zip(found.joint_names, found.joints.T, strict=True)
     ] + [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": name,
-            "x": found.pose_time.round(4),
-            "y": (1e6 * r).round(2),
-            "xaxis": "x",
-            "yaxis": "y2",
-        }
+        _draw_line(name, found.pose_time, r, "lines+markers", "y2")
         for name, r in zip("xyz", found.position.T, strict=True)
     ]
     # What stands still must be seen: the motion before and after goes out of the picture.
@@ -80,3 +64,18 @@ def signals(folder: Path, sample: int) -> dict[str, Any]:
         "shapes": [dwell],
     }
     return {"figure": to_json_value({"data": traces, "layout": layout})}
+
+
+def _draw_line(
+    name: str, time: np.ndarray, values: np.ndarray, mode: str, axis: str
+) -> dict[str, Any]:
+    """Draw values (rad or m) over the time (s)."""
+    return {
+        "type": "scatter",
+        "mode": mode,
+        "name": name,
+        "x": time.round(4),
+        "y": (1e6 * values).round(2),
+        "xaxis": "x",
+        "yaxis": axis,
+    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,45 +14,34 @@ from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
-from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.signature import Signature, signature
-from parallel_cal.diagnosis.thresholds import LEVELS, MIN_DOF
+from parallel_cal.diagnosis.thresholds import MIN_DOF
 from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, summarise_parameters
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.observations import blocks
-from parallel_cal.identification.prediction_errors import Errors, Summary, compute_rms_sigmas
-from parallel_cal.identification.registration import frames_of
+from parallel_cal.identification.prediction_errors import Summary, compute_rms_sigmas
 from parallel_cal.model.model import Model
-from parallel_cal.posterior.scene import Scene
 from parallel_cal.reporting import (
     contents,
     drawings,
     image_figures,
     images,
-    joint_panels,
-    maps,
-    multiples,
     results,
-    signatures,
+    tables,
 )
-from parallel_cal.reporting.axes import name_axis
 from parallel_cal.reporting.blocks import as_rows
-from parallel_cal.reporting.figures import Spec, select_evenly
+from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.machine import (
     ErringPart,
-    Stage,
     describe_erring_parts,
     draw_machine,
     find_erring_parts,
 )
 from parallel_cal.reporting.markup import sentence
-from parallel_cal.reporting.names import name_effects, name_step, title_of
+from parallel_cal.reporting.names import name_effects, name_step
 from parallel_cal.reporting.readable import (
-    error_unit,
-    number,
-    value_unit,
     with_sigma,
     write_micro,
 )
@@ -62,8 +51,18 @@ from parallel_cal.reporting.summary import describe_left, describe_missing
 from parallel_cal.session.history import State
 from parallel_cal.session.session import Session
 from parallel_cal.session.steps import fitted
+from parallel_cal.workbench.picture_views import (
+    MachineStage,
+    View,
+    list_pictures,
+    view_field,
+    view_machine,
+    view_machine_of,
+    view_pattern,
+    view_picture,
+    view_residuals,
+)
 
-View = dict[str, Any]
 # Samples on a page. A browser needs seconds to draw more, and more hide each other.
 MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 400, 150
 # Samples from which a preliminary view of many is made: their numbers come in seconds.
@@ -148,7 +147,7 @@ def _make_numbers(words: str, errors: Mapping[str, Summary], sigmas: Mapping[str
     """Make the preliminary verdict and the numbers of a fit; `sigmas` are those of "now"."""
     kinds = [k for k in ("position", "orientation", "reading") if errors["now"].rms(k)]
     tiles = [
-        results.make_tile(name, one, kinds, {}, sigmas=sigmas if name == "now" else None)
+        tables.make_tile(name, one, kinds, {}, sigmas=sigmas if name == "now" else None)
         for name, one in errors.items()
     ]
     return {
@@ -223,7 +222,7 @@ def _make_numbers_of_all(session: Session, made: View, remark: str) -> View:
         "budget": None,
         "iso": [],
         "chi2": "",
-        "parameters": as_rows(results.parameter_table(parameters)),
+        "parameters": as_rows(tables.parameter_table(parameters)),
     }
 
 
@@ -233,20 +232,20 @@ def _make_comparison_view(found: Comparison) -> View:
     where = "in-sample error" if in_sample else "error at all samples"
     name, groups = "now, in-sample" if in_sample else "now", blocks(found.dataset)
     sigmas = compute_rms_sigmas(found.errors, groups)
-    tiles = [results.make_tile(name, found.errors.summary, kinds, {}, where, sigmas=sigmas)]
+    tiles = [tables.make_tile(name, found.errors.summary, kinds, {}, where, sigmas=sigmas)]
     count, poses = len(found.dataset), len(np.unique(found.dataset.pose_id))
     counts = f"{count} samples of {poses} poses; ± 1 sigma"
     if found.given.is_registered:
         # The error that a fit has to lower: "now" contains the registration to the same poses.
         held_out, sigmas = found.held_out.summary, compute_rms_sigmas(found.held_out, groups)
         label = found.given.label
-        tiles.append(results.make_tile(label, held_out, kinds, {}, sigmas=sigmas))
+        tiles.append(tables.make_tile(label, held_out, kinds, {}, sigmas=sigmas))
         counts += (
             f". The frames of the device were estimated from the same poses ({name}), or from "
             f"poses other than those of the error ({label})."
         )
     if found.noise.is_known:
-        floor = results.make_tile(
+        floor = tables.make_tile(
             "noise floor", found.noise, kinds, {}, where, sigmas=found.noise_sigmas
         )
         tiles.append(floor)
@@ -254,6 +253,7 @@ def _make_comparison_view(found: Comparison) -> View:
     units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
     samples = contents.compared_samples(found)
     residuals, shown = _select_shown(contents.Residuals.of(found.scene, found.field), samples)
+    now = MachineStage("now", found.errors, found.errors.summary)
     return {
         "shown": shown,
         "verdict": {"words": _compared_words(found)},
@@ -264,12 +264,10 @@ def _make_comparison_view(found: Comparison) -> View:
         "chi2": "",
         "warnings": [write_micro(words) for words in found.dataset.warnings],
         "measured": describe_measurement(found.scene.model, found.dataset, found.observations),
-        "machine": _machine(
-            found.model, found.scene, residuals, [_Stage("now", found.errors, found.errors.summary)]
-        ),
-        "field": _field(residuals),
-        "residuals": _residuals(residuals, found.residual_profiles),
-        "pictures": list(_pictures(residuals, found.scene, None)),
+        "machine": view_machine(found.model, found.scene, residuals, [now]),
+        "field": view_field(residuals),
+        "residuals": view_residuals(residuals, found.residual_profiles),
+        "pictures": list(list_pictures(residuals, found.scene, None)),
         "samples": _samples(samples, residuals, kinds or ["joint"], units),
         "effects": _list_effects(found.model),
         "ambiguous": {},
@@ -309,20 +307,23 @@ def _make_report_view(found: Report) -> View:
     return {
         "shown": shown,
         "verdict": _verdict(found),
-        "tiles": to_json_value([*results.error_tiles(found.errors, diagnosis.effects, units)]),
+        "tiles": to_json_value([*tables.error_tiles(found.errors, diagnosis.effects, units)]),
         "counts": _counts(found.errors),
         "budget": _budget(now.budgets[0]) if now.budgets else None,
         "iso": [*map(write_micro, images.describe_robot_error(now)), *_iso(now.iso_9283)],
         "chi2": _chi2(now),
         "warnings": [write_micro(words) for words in dict.fromkeys(now.warnings)],
         "measured": describe_measurement(now.model, diagnosis.dataset, now.observations),
-        "machine": _machine_of(found, residuals, erring),
+        "machine": view_machine_of(found, residuals, erring),
         "answers": _answers(diagnosis, erring),
-        "field": _field(residuals),
-        "residuals": _residuals(residuals, found.along),
+        "field": view_field(residuals),
+        "residuals": view_residuals(residuals, found.along),
         "pictures": [
-            *(_picture(one.name, one.words, one.figure) for one in image_figures.draw_cameras(now)),
-            *_pictures(residuals, diagnosis.base.scene, _find_first_pattern(diagnosis)),
+            *(
+                view_picture(one.name, one.words, one.figure)
+                for one in image_figures.draw_cameras(now)
+            ),
+            *list_pictures(residuals, diagnosis.base.scene, _find_first_pattern(diagnosis)),
         ],
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "effects": _list_effects(diagnosis.model),
@@ -336,7 +337,7 @@ def _make_report_view(found: Report) -> View:
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if not e.candidate.testable
         ],
-        "parameters": as_rows(results.parameter_table(identified)),
+        "parameters": as_rows(tables.parameter_table(identified)),
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
         "separation": separation.csv(diagnosis.model) if separation else None,
         "deciding_poses": len(separation.poses) if separation else 0,
@@ -353,13 +354,13 @@ def _make_report_view(found: Report) -> View:
 
 def _list_candidates(diagnosis: Diagnosis, tested: list[Entry]) -> list[dict[str, Any]]:
     """The rows of the effects that were tested, with what the page shows of each besides."""
-    rows = as_rows(results.candidate_table(diagnosis, tested))["rows"]
+    rows = as_rows(tables.candidate_table(diagnosis, tested))["rows"]
     return [
         row
         | {
             "found": entry.name in diagnosis.effects,
             "probable": entry.probable,
-            "pattern": _pattern(entry, diagnosis.model),
+            "pattern": view_pattern(entry, diagnosis.model),
         }
         for row, entry in zip(rows, tested, strict=True)
     ]
@@ -419,19 +420,19 @@ def _samples(
     """List the samples in the order of the residuals, which the figures share."""
     by_number = {one.sample: one for one in samples}
     in_order = [by_number[int(number)] for number in residuals.sample]
-    return as_rows(results.sample_table(in_order, kinds, joint_units))
+    return as_rows(tables.sample_table(in_order, kinds, joint_units))
 
 
 def _counts(errors: contents.HeldOutErrors) -> str:
     if not errors.samples:
         return "no pose was held out: there is no validation error"
-    counts = results.describe_counts(errors.samples, errors.poses, True)
+    counts = tables.describe_counts(errors.samples, errors.poses, True)
     return f"all errors: rms at {counts}; ± 1 sigma"
 
 
 def _budget(budget: Budget) -> View:
     """Describe the parts of a budget as `geometry 603 ± 25 µm`, the largest first."""
-    unit, factor = results.ascii_unit(budget.kind)
+    unit, factor = tables.ascii_unit(budget.kind)
     parts = [
         f"{'remaining ' * (part.name in (NOISE, REST))}{part.name} "
         f"{with_sigma(part.removed, part.sigma, factor)} {unit}"
@@ -444,7 +445,7 @@ def _budget(budget: Budget) -> View:
             f"error of the nominal model {total}, removed by (parts add in squares: 3 and 4 make 5)"
         ),
         "parts": [write_micro(part) for part in parts],
-        "about": write_micro(results.budget_sentence(budget)),
+        "about": write_micro(tables.budget_sentence(budget)),
     }
 
 
@@ -461,69 +462,7 @@ def _chi2(result: FitResult) -> str:
 
 
 def _iso(figures: Sequence[Iso9283]) -> list[str]:
-    return [write_micro(results.iso_sentence(one)) for one in figures]
-
-
-def _field(residuals: contents.Residuals) -> View | None:
-    """Return the residuals in space, in which branches are compared."""
-    if residuals.kind is None:
-        return None
-    field = {
-        "kind": residuals.kind,
-        "places": residuals.place,
-        "vectors": residuals.now,
-        "numbers": residuals.sample,
-    }
-    return to_json_value(field)
-
-
-class _Stage(NamedTuple):
-    """A stage of the machine's slider: a model's errors, and their rms at the same samples."""
-
-    name: str
-    errors: Errors
-    summary: Summary
-
-
-def _machine_of(
-    found: Report, residuals: contents.Residuals, erring: Sequence[ErringPart]
-) -> View | None:
-    """Draw the machine with its errors at held-out poses: nominal, fitted, with what was found."""
-    diagnosis, errors = found.diagnosis, found.errors
-    base, best = diagnosis.base.fitted, diagnosis.best.fitted
-    before = contents.errors_before(diagnosis)
-    stages = [_Stage("nominal", before, errors.before), _Stage("fitted", base.held_out, errors.now)]
-    if errors.found is not None:
-        names = " + ".join(map(title_of, diagnosis.effects))
-        stages.append(_Stage(f"+ {names}", best.held_out, errors.found))
-    return _machine(diagnosis.model, diagnosis.base.scene, residuals, stages, erring)
-
-
-def _machine(
-    model: Model,
-    scene: Scene,
-    residuals: contents.Residuals,
-    stages: Sequence[_Stage],
-    erring: Sequence[ErringPart] = (),
-) -> View | None:
-    """Draw the machine; errors are drawn only where positions were measured."""
-    if residuals.kind != "position":
-        return to_json_value(draw_machine(model))
-    shown = np.isin(scene.dataset.numbers, residuals.sample)
-    frame = frames_of(scene.model).F
-    unit, factor = error_unit("m")
-    drawn = [
-        Stage(
-            one.name,
-            one.errors.position[shown] @ frame.T,
-            f"{number(one.summary.position_rms, factor)} {unit}",
-        )
-        for one in stages
-        if one.summary.position_rms is not None
-    ]
-    return to_json_value(
-        draw_machine(scene.model, residuals.place, drawn, residuals.sample, erring)
-    )
+    return [write_micro(tables.iso_sentence(one)) for one in figures]
 
 
 def _answers(diagnosis: Diagnosis, erring: Sequence[ErringPart]) -> View:
@@ -534,78 +473,3 @@ def _answers(diagnosis: Diagnosis, erring: Sequence[ErringPart]) -> View:
         "left": describe_left(diagnosis),
         "is_left": diagnosis.left,
     }
-
-
-def _pictures(
-    residuals: contents.Residuals, scene: Scene, laid: Signature | None
-) -> Iterator[View]:
-    """Make the figures of the tabs, each with a name and a description."""
-    own = contents.JointResiduals.of(scene)
-    over = f", with the pattern of {laid.effect}" if laid else ""
-    words = "encoder reading minus inverse kinematics of the measured pose"
-    if own.joints:
-        yield _picture(
-            "joints", f"{words}, against the reading{over}", joint_panels.flat_panels(own, laid)
-        )
-        if polar := joint_panels.polar_panels(own, laid):
-            yield _picture("joints, round", f"{words}, as a polar plot{over}", polar)
-    if residuals.kind is not None:
-        flat, scale = maps.residuals(
-            residuals.place, [residuals.now], residuals.kind, residuals.sample
-        )
-        yield _picture(
-            "sides",
-            f"residuals from three sides, in the frame of the base, magnified {scale:g} times",
-            flat,
-        )
-    if (spread := maps.PositionUncertainty.of(scene.model)) is not None:
-        known, scale = maps.workspace(spread)
-        words = f"model uncertainty: 1-sigma ellipses, magnified {scale:g} times"
-        if spread.validity:
-            words += f", {spread.validity}"
-        yield _picture("uncertainty", words, known)
-
-
-def _picture(name: str, words: str, figure: Spec) -> View:
-    return {"name": name, "words": words, "figure": to_json_value(figure)}
-
-
-def _residuals(residuals: contents.Residuals, striking: Sequence[ResidualProfile]) -> View:
-    """Return residuals in sigmas (N, k) by component, and the quantities (N,) that they may depend
-    on, the strongest dependence first. Quantities that do not vary are omitted."""
-    along = {}
-    for one in residuals.select_informative(striking):
-        values = residuals.regressors[one.name]
-        unit, factor = value_unit(residuals.units[one.name])
-        along[one.name] = {
-            "values": np.round(values * factor, 5),
-            "unit": unit,
-            "at": np.round(one.at * factor, 5),
-            "means": np.round(one.mean[:, np.any(one.mean != 0, axis=0)], 3),
-            "band": np.round(one.band, 3),
-            "rolls": len(np.unique(values)) > LEVELS,
-        }
-    return to_json_value(
-        {
-            "components": residuals.components,
-            "colours": [multiples.colour(name) for name in residuals.components],
-            "sigmas": np.round(residuals.noise_units, 3),
-            "along": along,
-            "place": np.round(
-                (1.0 if residuals.kind == "orientation" else 1e3) * residuals.place, 4
-            ),
-            "where": name_axis("{}", residuals.kind or "position"),
-        }
-    )
-
-
-def _pattern(entry: Entry, model: Model) -> View | None:
-    """Draw the candidate's pattern over the residuals; None if it was not tested."""
-    if entry.candidate.score is None:
-        return None
-    laid, mechanism = signature(entry.candidate), model.mechanism
-    return _picture(
-        entry.name,
-        signatures.describe_signature(laid, mechanism),
-        signatures.figure(laid, mechanism),
-    )

@@ -28,15 +28,7 @@ from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
 from parallel_cal.discovery.folds import choose_in_folds
-from parallel_cal.discovery.formula import (
-    Factor,
-    Formula,
-    Term,
-    _iterate_groups,
-    _Selection,
-    build_columns,
-    find_formula,
-)
+from parallel_cal.discovery.formula import Factor, Formula, Term, build_columns
 from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
 from parallel_cal.discovery.parts import find_parts
 from parallel_cal.discovery.places import Site, list_places, list_sites
@@ -47,6 +39,8 @@ from parallel_cal.discovery.search import (
     refine_members,
     sort_by_preference,
 )
+from parallel_cal.discovery.selection import Selection, find_formula
+from parallel_cal.discovery.term_groups import iterate_groups
 from parallel_cal.effects._legs import leg_inclinations, needs_legs
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.effect import Seen
@@ -877,8 +871,8 @@ def test_a_member_that_the_samples_do_not_show_is_left_out(scene):
 def test_a_term_gains_what_least_squares_over_all_rows_explain(scene, each):
     """Sums over samples choose the same term, beside none and beside a first one."""
     hypothesis, targets = _joints_by_reading(scene, each)
-    groups = list(_iterate_groups(hypothesis, len(scene.x)))
-    search = _Selection(targets, hypothesis, groups)
+    groups = list(iterate_groups(hypothesis, len(scene.x)))
+    search = Selection(targets, hypothesis, groups)
     for chosen in ([], [1]):
 
         def explain(numbers):
@@ -903,7 +897,7 @@ def test_a_term_gains_what_least_squares_over_all_rows_explain(scene, each):
 @pytest.mark.wide
 def test_a_formula_is_found_without_the_columns_of_all_terms_in_memory(scene):
     hypothesis, targets = _joints_by_reading(scene, True)
-    groups = list(_iterate_groups(hypothesis, len(scene.x)))
+    groups = list(iterate_groups(hypothesis, len(scene.x)))
     terms = sum(len(group.terms) for group in groups)
     all_columns = 8 * terms * len(hypothesis.site.members) * len(scene.residual)
     tracemalloc.start()

@@ -17,7 +17,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.simulate import simulate
-from parallel_cal.reporting.results import iso_sentence
+from parallel_cal.reporting.tables import iso_sentence
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
 

@@ -8,7 +8,7 @@ import pytest
 from board_images import LENS, SQUARE, printed, shots
 
 from parallel_cal.imaging.board import Board, read_board
-from parallel_cal.virtual.camera import Camera, FlatBoard
+from parallel_cal.virtual.camera import Camera, FlatBoard, Imager
 from parallel_cal.virtual.robot import turn
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra camera)")
@@ -40,7 +40,7 @@ def errors_of(detector, camera, n, **options):
     [
         ({}, False, 0.03, 0.2),
         ({}, True, 0.04, 0.25),
-        ({"noise": 3.0}, True, 0.06, 0.4),
+        ({"imager": Imager(noise=3.0)}, True, 0.06, 0.4),
         ({"blur": 2.0}, True, 0.08, 0.4),
         ({"focal": (600.0, 600.0), "distortion": (-0.28, 0.07)}, True, 0.06, 0.4),
         ({"focal": (560.0, 560.0), "fisheye": True, "distortion": (0.05, -0.01)}, True, 0.06, 0.4),
@@ -176,7 +176,7 @@ def test_a_pixel_of_the_rendered_image_is_on_the_ray_of_its_point():
     flat, r = FlatBoard(ink, 2e-3), np.array([0.05, 0.02, 0.4])
     even = replace(SMALL, shading=0.0)
     for camera in (even, replace(even, fisheye=True, distortion=(0.05, -0.01))):
-        light = camera.white - camera.render(flat, r, np.eye(3)).astype(float)
+        light = camera.imager.white - camera.render(flat, r, np.eye(3)).astype(float)
         at = camera.project(r + [41e-3, 41e-3, 0.0])
         u, v = np.round(at).astype(int)
         window = light[v - 8 : v + 9, u - 8 : u + 9]

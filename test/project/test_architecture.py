@@ -193,6 +193,83 @@ def test_few_private_functions_are_called_only_once():
     assert len(once) / functions <= MAX_SHARE_CALLED_ONCE, (len(once), functions)
 
 
+MAX_LINES, MAX_FIELDS, MAX_FILE = 60, 10, 500  # of a function without its docstring, a value
+LONG = {
+    "campaign.campaign.__init__",
+    "campaign.judging.judge_samples",
+    "diagnosis.diagnose._diagnose_trusted",
+    "planning.plan.plan",
+}
+# Their fields are parameters by name, options of a file or keys of a document that are promised
+# (docs/stability.md), or all of what a file states of one thing.
+WIDE = {
+    "campaign.campaign.Goal",
+    "campaign.judging.Judgement",
+    "diagnosis.diagnose.Diagnosis",
+    "diagnosis.patterns.OddSample",
+    "diagnosis.verdict.Findings",
+    "discovery.law.Law",
+    "identification.budget.Iso9283",
+    "identification.estimate.Estimate",
+    "identification.fit.FitResult",
+    "identification.options.FitOptions",
+    "identification.prediction_errors.Summary",
+    "importing.deltas.Towers",
+    "importing.linkage.LinkageJoint",
+    "mechanisms._chain_reading.Joint",
+    "model.model.Model",
+    "nodes.trajectory_action._Goal",
+    "planning.plan.Plan",
+    "posterior.scene.Scene",
+    "recordings.dataset.Dataset",
+    "recordings.options.ReadOptions",
+    "recordings.options.SampleOptions",
+    "recordings.recording.Recording",
+    "recordings.samples.Sample",
+    "reporting.certificate.CertificateFields",
+    "reporting.report.Provenance",
+    "reporting.report.Report",
+    "sensors.camera.Camera",
+    "virtual.cell.Circumstances",
+}
+LARGE = {
+    "campaign.campaign",
+    "diagnosis.diagnose",
+    "diagnosis.verdict",
+    "identification.fit",
+    "identification.registration",
+    "mechanisms.chain",
+    "session.session",
+    "workbench.bench",
+}
+
+
+def count_lines(function):
+    """Lines of a function without its docstring."""
+    lines = function.end_lineno - function.lineno + 1
+    if ast.get_docstring(function) is not None:
+        lines -= function.body[0].end_lineno - function.body[0].lineno + 1
+    return lines
+
+
+@pytest.mark.wide
+def test_functions_values_and_files_are_small_enough_to_read():
+    """Those that are not are listed: the lists may only become shorter."""
+    long, wide, large = set(), set(), set()
+    for module, path in MODULES.items():
+        name, text = module.removeprefix("parallel_cal."), path.read_text()
+        if text.count("\n") > MAX_FILE:
+            large.add(name)
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                long |= {f"{name}.{node.name}"} if count_lines(node) > MAX_LINES else set()
+            elif isinstance(node, ast.ClassDef) and node.decorator_list:
+                fields = sum(isinstance(one, ast.AnnAssign) for one in node.body)
+                wide |= {f"{name}.{node.name}"} if fields > MAX_FIELDS else set()
+    assert (long - LONG, wide - WIDE, large - LARGE) == (set(), set(), set())
+    assert (LONG - long, WIDE - wide, LARGE - large) == (set(), set(), set())
+
+
 def test_a_private_module_is_imported_by_its_own_folder_only():
     elsewhere = {
         (name, used)

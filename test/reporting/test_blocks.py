@@ -6,7 +6,7 @@ from parallel_cal.reporting.blocks import Cell, Column, Number, Table, as_rows, 
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.markup import as_html
 from parallel_cal.reporting.readable import write_micro
-from parallel_cal.reporting.results import parameter_table
+from parallel_cal.reporting.tables import parameter_table
 
 TABLE = Table(
     ("part", "by itself", "unit", Column("position [um]", "place", on_terminal=False)),

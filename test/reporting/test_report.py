@@ -17,7 +17,7 @@ from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
-from parallel_cal.reporting import contents, figures, results
+from parallel_cal.reporting import contents, figures, tables
 from parallel_cal.reporting.arrows import Ramp, arrows, scale_of
 from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.page import page
@@ -299,7 +299,7 @@ def test_times_that_were_not_recorded_are_not_shown(recorded):
     assert ("time [s]" in pc.show(found)) == recorded
     samples = contents.compared_samples(found)
     units = dict.fromkeys(model.joints, "rad")
-    columns = [one.name for one in results.sample_table(samples, ["position"], units).headings()]
+    columns = [one.name for one in tables.sample_table(samples, ["position"], units).headings()]
     assert ("time [s]" in columns) == recorded
 
 
@@ -314,7 +314,7 @@ def test_the_table_of_samples_states_the_unit_of_joints_and_has_no_empty_column(
         found=None,
         odd=odd,
     )
-    table = results.sample_table([one], ["position"], {"a": "rad", "b": "m"})
+    table = tables.sample_table([one], ["position"], {"a": "rad", "b": "m"})
     columns = [heading.name for heading in table.headings()]
     assert columns[-2:] == ["joints [deg, mm]", "position [mm]"]
     assert ("odd" in columns) == bool(odd)
@@ -442,11 +442,11 @@ def test_ways_and_speeds_of_a_sliding_joint_are_in_metres():
 
 
 def test_maps_of_the_model_uncertainty_say_for_which_conditions_they_hold(made, text):
-    from parallel_cal.workbench import views
+    from parallel_cal.workbench.picture_views import list_pictures
 
     validity = "at neutral conditions (direction 0)"
     assert f"not from the residuals. They hold {validity}." in Page(text).text
-    pictures = views._pictures(made.residuals, made.diagnosis.best.scene, None)
+    pictures = list_pictures(made.residuals, made.diagnosis.best.scene, None)
     assert next(one["words"] for one in pictures if one["name"] == "uncertainty").endswith(
         f" times, {validity}"
     )

@@ -21,7 +21,7 @@ from parallel_cal.reporting.multiples import multiples, peak
 from parallel_cal.reporting.page import page
 from parallel_cal.reporting.readable import format_percent, round_to_sigma
 from parallel_cal.reporting.report import report
-from parallel_cal.reporting.results import candidate_table
+from parallel_cal.reporting.tables import candidate_table
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
 

@@ -9,7 +9,7 @@ from parallel_cal.model.words import direction_in_words, parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import with_effects
 from parallel_cal.reporting.blocks import as_text
-from parallel_cal.reporting.results import errors_table, find_given_parameters
+from parallel_cal.reporting.tables import errors_table, find_given_parameters
 
 
 def test_winches_err_in_degrees_and_arms_in_arcmin():

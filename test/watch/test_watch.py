@@ -30,7 +30,7 @@ from parallel_cal.watch.changes import (
     weigh,
 )
 from parallel_cal.watch.state import read_state, write_state
-from parallel_cal.watch.visit import SIZES, Visit
+from parallel_cal.watch.visit import SIZES, Evidence, Innovation, Visit
 from parallel_cal.watch.watch import DAY, Watch
 
 START, LEGS = 1.7e9, 7  # s since 1970
@@ -75,8 +75,11 @@ def bare_visit(time, pull, information=1.0, squares=None, rows=50):
     names = tuple(f"leg{k}.zero" for k in range(len(pull)))
     none = np.zeros((len(pull) + 1, len(SIZES)))
     squares = float(rows) if squares is None else squares
-    evidence = (rows, rows, names, A, pull, squares, none, none, 0.0, 0, 0, True)
-    return Visit(f"at {time}", "", time, *evidence)
+    evidence, innovation = (
+        Evidence(names, A, pull, squares, rows),
+        Innovation(0.0, 0, none, none, 0),
+    )
+    return Visit(f"at {time}", "", time, rows, evidence, innovation, known_noise=True)
 
 
 def series_of(*visits):
@@ -187,7 +190,7 @@ def test_noise_that_is_not_stated_is_learned_from_the_first_recording():
     assert next(iter(watch.parts)) == "leg3"
     stated = followed([recording(0, n=80)]).visits[0]
     learned = watch.visits[0]
-    assert learned.squares == pytest.approx(stated.squares, rel=0.5)
+    assert learned.evidence.squares == pytest.approx(stated.evidence.squares, rel=0.5)
     with pytest.raises(FitError, match=r"day0: the noise of the joint readings is not stated, and"):
         followed([replace(recording(0, n=8), joint_sigma=None)])
 

@@ -36,6 +36,18 @@ DIRECTION_THRESHOLD = 5e-4  # rad or m, as the parameter of the kinematics node
 MAX_DESCENTS = 100  # steps of one Levenberg-Marquardt descent
 PATH_AMPLITUDE = 0.005  # of the example's path, as a share of the mechanism's length
 MAX_POSES = 300_000  # test vectors; each takes a few kB of memory and 1 kB of the file
+SEARCH = {  # words of the templates: limits of the solver and of its search
+    "closed": MAX_CLOSED_RESIDUAL_M,
+    "settled": MAX_SETTLED_STEP_M,
+    "singular": MIN_REGULAR_SINGULAR_VALUE,
+    "suspect": SUSPECT_PIVOT,
+    "threshold": DIRECTION_THRESHOLD,
+    "all_steps": 8 * MAX_DESCENTS + 2 * MAX_PATH_STEPS,
+    "descents": MAX_DESCENTS,
+    "path_steps": MAX_PATH_STEPS,
+    "path_growth": PATH_GROWTH,
+    "least_step": MIN_STEP_FRACTION,
+}
 HELPERS = {
     "casadi_real": "double",
     "casadi_sq": "square",
@@ -96,27 +108,13 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
     newton = [newton_functions(s, problem) for problem in PROBLEMS]
     unknown = [functions.columns for functions in newton]
     given = [list(range(n)), [n + i for i in m.controlled]]
-    constants = [functions.iteration.n_constants for functions in newton]
     limits = np.array(m.joint_limits, dtype=float).reshape(-1, 2).T
-    names = []  # of the conditions in C: `temperature`, or `direction[0]` of a joint
-    for name in model.conditions:
-        kind, _, joint = name.partition(".")
-        number = f"[{model.joints.index(joint)}]" if CONDITIONS[kind][2] else ""
-        names.append(_name_member(name) + number)
-    # The specification of each member of the struct: unit, neutral value, whether by joint.
-    members = {_name_member(name): CONDITIONS[name.split(".")[0]] for name in model.conditions}
-    fields = [
-        f"    double {member}{f'[{robot.upper()}_JOINTS]' * by_joint}; /* {unit}, {value:g} */"
-        for member, (unit, value, by_joint) in members.items()
-    ]
-    neutral = [
-        f"{{{_list([value] * n)}}}" if by_joint else _list([value])
-        for _, value, by_joint in members.values()
-    ]
     rates = np.array(m.joint_rates or ((np.inf, np.inf),) * n, dtype=float).T
     home = np.asarray(m.home.configuration)
-    letters = max(map(len, m.joints)) + 1
     words: dict[str, Any] = {
+        **SEARCH,
+        **_condition_words(model, robot),
+        **_passive_words(m),
         "robot": robot,
         "ROBOT": robot.upper(),
         "version": __version__,
@@ -131,14 +129,9 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "controls": " ".join(m.controls),
         "n_joints": n,
         "rows": s.phi.shape[0],
-        "n_conditions": len(names),
         "most": max(s.phi.shape[0], *map(len, unknown), n, 6),
-        "constants": max(constants),
+        "constants": max(functions.iteration.n_constants for functions in newton),
         "effects": int(bool(model.effects)),
-        "closed": MAX_CLOSED_RESIDUAL_M,
-        "settled": MAX_SETTLED_STEP_M,
-        "singular": MIN_REGULAR_SINGULAR_VALUE,
-        "suspect": SUSPECT_PIVOT,
         "home": _list(m.home.configuration),
         "scale": _list(s.scale),
         "low": _list(limits[0]),
@@ -146,44 +139,26 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "turn": _list(m.joint_periods),
         "velocity": _list(rates[0]),
         "acceleration": _list(rates[1]),
-        "name_size": letters,
+        "name_size": max(map(len, m.joints)) + 1,
         "joint_names": ", ".join(f'"{joint}"' for joint in m.joints),
         "home_joints": _list(home[:n]),
         "home_position": _list(home[n : n + 3]),
         "home_rotation": _list(home[n + 3 : n + 12]),
         "n_passive": len(m.passive),
-        **_passive_words(m),
-        "threshold": DIRECTION_THRESHOLD,
-        "all_steps": 8 * MAX_DESCENTS + 2 * MAX_PATH_STEPS,
-        "descents": MAX_DESCENTS,
-        "path_steps": MAX_PATH_STEPS,
-        "path_growth": PATH_GROWTH,
-        "least_step": MIN_STEP_FRACTION,
         "length": m.length,
         "amplitude": PATH_AMPLITUDE * m.length,
-        "followed": _lines(
-            f"memcpy(at->{kind}, motion->{kind}, sizeof at->{kind});"
-            for kind, (_, _, by_joint) in members.items()
-            if by_joint and kind != "acceleration"  # differences of readings are mostly noise
-        ),
-        "neutral": ", ".join(neutral or ["0.0"]),
         "generated": _generate_functions(model, newton),
-        "conditions": "\n".join(fields or ["    double none; /* the model needs none */"]),
-        "copied": _lines(f"a[{k}] = at->{c};" for k, c in enumerate(names or ["none"])),
-        "read": _lines((f"now.{c} = row[{2 + k}];" for k, c in enumerate(names)), 8),
         "given": _lines(_generate_copy("given", "", m.controlled)),
         "passive": _lines(_generate_start(m), 8),
     }
-    for problem, functions, u, g, c in zip(
-        PROBLEMS, newton, unknown, given, constants, strict=True
-    ):
+    for problem, functions, u, g in zip(PROBLEMS, newton, unknown, given, strict=True):
         words |= {
             f"unknown_{problem}": _list(u),
             f"n_{problem}": len(u),
             f"given_{problem}": _list(g),
             f"g_{problem}": len(g),
             f"turns_{problem}": int({n + 3, n + 4, n + 5} <= {*u}),
-            f"constants_{problem}": c,
+            f"constants_{problem}": functions.iteration.n_constants,
             f"home_sign_{problem}": int(functions.home_sign),
         }
     return {key: str(value) for key, value in words.items()}
@@ -231,6 +206,37 @@ def _generate_start(m: Mechanism) -> list[str]:
     lines = _generate_copy("x", "start->", [i for i in m.parasitic if i < 3 or turns])
     copied = "memcpy(x + NQ + 12, start->passive, NU * sizeof *x);"
     return [*lines, *([copied] if m.passive else [])]
+
+
+def _condition_words(model: Model, robot: str) -> dict[str, Any]:
+    """Return what the templates say of the conditions, the members of a struct."""
+    names = []  # in C: `temperature`, or `direction[0]` of a joint
+    for name in model.conditions:
+        kind, _, joint = name.partition(".")
+        number = f"[{model.joints.index(joint)}]" if CONDITIONS[kind][2] else ""
+        names.append(_name_member(name) + number)
+    # The specification of each member of the struct: unit, neutral value, whether by joint.
+    members = {_name_member(name): CONDITIONS[name.split(".")[0]] for name in model.conditions}
+    fields = [
+        f"    double {member}{f'[{robot.upper()}_JOINTS]' * by_joint}; /* {unit}, {value:g} */"
+        for member, (unit, value, by_joint) in members.items()
+    ]
+    neutral = [
+        f"{{{_list([value] * len(model.joints))}}}" if by_joint else _list([value])
+        for _, value, by_joint in members.values()
+    ]
+    return {
+        "n_conditions": len(names),
+        "conditions": "\n".join(fields or ["    double none; /* the model needs none */"]),
+        "neutral": ", ".join(neutral or ["0.0"]),
+        "copied": _lines(f"a[{k}] = at->{c};" for k, c in enumerate(names or ["none"])),
+        "read": _lines((f"now.{c} = row[{2 + k}];" for k, c in enumerate(names)), 8),
+        "followed": _lines(
+            f"memcpy(at->{kind}, motion->{kind}, sizeof at->{kind});"
+            for kind, (_, _, by_joint) in members.items()
+            if by_joint and kind != "acceleration"  # differences of readings are mostly noise
+        ),
+    }
 
 
 def _passive_words(m: Mechanism) -> dict[str, str]:

@@ -61,12 +61,12 @@ def edit(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str
     }
     name = model.frames["platform"]
     require_one_place(document, found, files[0], name)
-    for end, frame in found.ends.items():
+    for end, frame in found.changes.ends.items():
         _set_end(edits, document, found, places, end, frame)
-    if found.target is not None:
+    if found.changes.target is not None:
         if name in places:
             element, at = places[name]
-            _set_pose(edits, element, document.settings, np.linalg.solve(at, found.target))
+            _set_pose(edits, element, document.settings, np.linalg.solve(at, found.changes.target))
         else:
             remarks.append(describe_target(found, name, "a site"))
     texts = {path: change.apply(read_verbatim(path)) for path, change in edits.items()}
@@ -81,14 +81,18 @@ def require_one_place(document: Document, found: Calibrated, path: Path, platfor
             site = _site_of(document, loop, side)
             if site is None:
                 continue
-            point = found.ends.get((loop.name, side), end.frame)[:3, 3]
+            point = found.changes.ends.get((loop.name, side), end.frame)[:3, 3]
             if np.abs(points.setdefault(site, point) - point).max() > ROUNDING_TOLERANCE:
                 raise ModelError(
                     f"{path}: site '{site}' is the end of two loops, which have moved apart: give "
                     "each loop a site of its own"
                 )
     if platform in points:
-        target = found.linkage.frames[platform].frame if found.target is None else found.target
+        target = (
+            found.linkage.frames[platform].frame
+            if found.changes.target is None
+            else found.changes.target
+        )
         apart = target[:3, 3] - points[platform]
         if np.abs(apart).max() > ROUNDING_TOLERANCE:
             raise ModelError(
@@ -133,7 +137,7 @@ def _set_body(
     for (element, _, frame), joint in zip(body.joints, its, strict=True):
         inner = np.linalg.solve(poses[body.name], poses[joint.child])
         old = np.linalg.solve(drawn[body.name], drawn[joint.child])
-        anchor = found.anchors.get(joint.name, joint.anchor)
+        anchor = found.changes.anchors.get(joint.name, joint.anchor)
         was, now = (
             (np.linalg.inv(frame) @ place @ [*point, 1.0])[:3]
             for place, point in ((old, joint.anchor), (inner, anchor))

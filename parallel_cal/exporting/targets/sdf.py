@@ -44,12 +44,12 @@ def edit(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str
     attached = {
         name: np.linalg.solve(sdf.pose(body), sdf.pose(name)) for name, body in sdf.bodies.items()
     }
-    for name, anchor in found.anchors.items():
+    for name, anchor in found.changes.anchors.items():
         attached[name][:3, 3] = anchor
     target, remarks = model.frames["platform"], describe_changes(found)
-    if found.target is not None:
+    if found.changes.target is not None:
         if target in sdf.frames and sdf.frames[target][0].tag == "frame":
-            attached[target] = found.target
+            attached[target] = found.changes.target
         else:
             remarks.append(describe_target(found, target, "a <frame>"))
     poses = {
