@@ -19,6 +19,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.outliers import are_separated, find_outliers
 from parallel_cal.model.model import new_model
+from parallel_cal.reporting.summary import summarize
 from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
 
@@ -163,3 +164,17 @@ def test_noise_that_nobody_stated_does_not_hide_an_outlier():
 def test_a_missing_effect_and_noise_make_no_outlier(seed):
     for effects in ((), [vr.Backlash((5e-3,) * 3)]):
         assert not contradicting(fit(DELTA, measured(seed, effects=effects)))
+
+
+def test_a_model_that_was_fitted_with_an_outlier_may_be_fitted_without_it():
+    """Its error with the outlier proves nothing, so that the new one need not fall."""
+    data = moved(measured(0), {20: SLIPPED[20]})
+    data = replace(data, sha256="of these samples")
+    first = fitted(DELTA, data, hold_out=0.2, free=["chain*.theta"])
+    assert first.result.outliers.numbers == (20,)
+    left = summarize(first)[3]
+    assert left.text == "not known, because sample 20 contradicts all others"
+    others = data.select(np.arange(len(data)) != 20)
+    others = replace(others, excluded={20: "slipped"})
+    again = fitted(first.model, others, hold_out=0.2, free=["chain*.theta"])
+    assert not again.acceptance.against
