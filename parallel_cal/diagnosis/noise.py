@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.region import TOUCH
+from parallel_cal.diagnosis.region import is_of_touches
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
@@ -165,8 +165,7 @@ class NoiseLevel:
 def advise_on_noise(result: FitResult, revisits: int) -> str:
     """Say how an owner finds out what noise was not stated; `revisits` are too few to show it."""
     dataset, sensors = result.dataset, {sensor.name for sensor in result.model.sensors}
-    touches = TOUCH in dataset.conditions and not dataset.measured.any()
-    again, one = ("touch", "point") if touches else ("visit", "pose")
+    again, one = ("touch", "point") if is_of_touches(dataset) else ("visit", "pose")
     places = {
         f"`sigma` of its sensor {kind.name}" if kind.name in sensors else "`noise`"
         for kind in result.observations.unknown

@@ -27,6 +27,7 @@ from parallel_cal.recordings.header_names import (
 from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
 from parallel_cal.recordings.loading import MAP_SUFFIX, load_sessions
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.samplefile import holds_samples
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 from parallel_cal.session.history import History
 from parallel_cal.session.known_columns import KnownColumns, recall_columns
@@ -98,6 +99,21 @@ def read_samples(file: Path, folder: Path, columns: Mapping[str, Any]) -> tuple[
     write_atomically(file.with_suffix(MAP_SUFFIX), json.dumps(columns))  # JSON is YAML
     reading = ReadOptions(**session.record.reading)
     return model, load_sessions([file], reading, mechanism=model.mechanism)
+
+
+def preview_file(file: Path, folder: Path) -> dict[str, Any]:
+    """Preview a table as `preview_table` does; of a file of samples only the `error` of its import
+    into the session in `folder`, empty if there is none, and `words` about its samples."""
+    if not holds_samples(file):
+        return preview_table(file, folder)
+    try:
+        session = History(folder)
+        mechanism = read_model(folder / session.state.model).mechanism
+        found = load_sessions([file], ReadOptions(**session.record.reading), mechanism=mechanism)
+    except ParallelCalError as error:
+        return {"error": str(error)}
+    poses = len(set(found.pose_id.tolist()))
+    return {"error": "", "words": f"{len(found)} samples of {poses} poses: {found.source}"}
 
 
 def _describe_import(known: KnownColumns, seconds: float) -> str:

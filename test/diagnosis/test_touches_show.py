@@ -94,7 +94,7 @@ def test_a_measured_pose_shows_heights(fitted):
 
 @pytest.mark.wide
 def test_points_touched_twice_show_the_noise_that_nobody_stated(tmp_path):
-    """Lead screws err by 30 um, and the probe repeats to 5 um; 25 of 80 points are touched again."""
+    """Lead screws err by 30 um, and the probe repeats to 5 um; 25 points are touched again."""
     (tmp_path / "config.g").write_text(vp.CONFIG)
     printer, rng = vp.drawn(20, wobble=30e-6), np.random.default_rng(5)
     points = vp.places(80, 3)
