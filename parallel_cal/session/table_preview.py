@@ -18,6 +18,7 @@ from parallel_cal.recordings.header_names import (
     OTHER_NAMES,
     POSITION,
     QUATERNION,
+    TOUCH_IMPORTS,
     find_conditions,
     find_names,
     find_position,
@@ -46,9 +47,10 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
     """Read a table for the session in `folder`; `error` says why it cannot be read, empty if it
     can. `joints` are the units (rad or m) of the model's joints by name. `columns`, `conditions`
     and `readings` (those of the model's sensors) name the column of a quantity, `angles` those of
-    three angles, `name` that of a name of each row. `with_unit` lists the columns that state their
-    unit. `remembered` is the column map of the last table whose columns this one has, too, and
-    `remembered_from` says which table that was, and when."""
+    three angles, `name` that of a name of each row. `with_unit` lists the columns that state
+    their unit. `about_touches` says how touches of a bed are imported. `remembered` is the
+    column map of the last table whose columns this one has, too, and `remembered_from` says
+    which table that was, and when."""
     try:
         session = History(folder)
         model = read_model(folder / session.state.model)
@@ -85,6 +87,7 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         | {name: table.find(one.column) for name, one in find_readings(table).items()},
         "joints": dict(zip(mechanism.joints, mechanism.joint_units, strict=True)),
         "assumed_unit": table.assumed_unit,
+        "about_touches": TOUCH_IMPORTS.format(table=file.name),
         "with_unit": [word for word in table.header if split_unit(word)[1]],
         "remembered": known and known[0].columns,
         "remembered_from": known and _describe_import(*known),

@@ -15,7 +15,6 @@ from typing import Any
 from nicegui import events, run, ui
 
 from parallel_cal.base.units import ANGLES, LENGTHS, PIXEL
-from parallel_cal.recordings.header_names import TOUCH_IMPORTS
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.widgets import draw_figure
 
@@ -41,10 +40,6 @@ UNITS = {"time": "s", "temperature": "degC", "payload": "kg"}
 # The units in which people enter noise, and their factors to SI.
 NOISE_UNITS = {"m": ("µm", 1e-6), "rad": ("mrad", 1e-3), "m or rad": ("m or rad", 1.0)}
 SUFFIXES = ".csv,.tsv,.txt,.json"
-TOUCHES = (
-    "A table of touches of a bed has no joint readings: import it with the configuration of the "
-    f"machine, {TOUCH_IMPORTS.format(table='TABLE')}"
-)
 POLL_INTERVAL_S = 0.1
 # The buttons that Quasar draws in their place have no names for screen readers.
 UPLOAD_HEADER = """
@@ -192,7 +187,7 @@ class ColumnForm:
     def __init__(self, found: Mapping[str, Any]):
         """`found` is the preview of the table."""
         self._header, self._with_unit = found["header"], set(found["with_unit"])
-        self._assumed_unit = found["assumed_unit"]
+        self._assumed_unit, self._about_touches = found["assumed_unit"], found["about_touches"]
         guessed: dict[str, str | None] = found["columns"]
         known = found["remembered"] is not None  # the last table had these columns
         self._doubtful = ui.column().classes("w-full gap-2")
@@ -308,7 +303,7 @@ class ColumnForm:
         if missing := [name for name, column in asked.items() if not column.value]:
             words = f"choose a column for {', '.join(missing)}"
             if set(missing) == set(self._joints) and all(one.value for one in self._position):
-                words += f". {TOUCHES}"
+                words += f". {self._about_touches}"
             return words
         units = [(f"unit of {name}", one, unit) for name, (one, unit, _) in self._joints.items()]
         if not self._assumed_unit:
