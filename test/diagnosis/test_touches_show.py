@@ -9,6 +9,7 @@ import virtual_printer as vp
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.region import (
     AT_ONE_HEIGHT,
     TOUCH,
@@ -18,7 +19,7 @@ from parallel_cal.diagnosis.region import (
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.model.shelf import list_plugins, load_effect, load_sensor
 from parallel_cal.posterior.scene import Scene
-from parallel_cal.reporting.contents import HeldOutErrors
+from parallel_cal.reporting.contents import HeldOutErrors, Residuals
 from parallel_cal.session import steps
 
 
@@ -47,6 +48,11 @@ def fitted(step):
 @pytest.fixture(scope="module")
 def diagnosed(step, touched):
     return diagnose(step.model, touched[1])
+
+
+def test_residuals_of_touches_have_the_name_of_their_sensor(fitted):
+    scene = Scene.of(fitted.model, fitted.dataset, fitted.observations, fitted.free)
+    assert Residuals.of(scene, Field.of(scene)).components == ["probe"]
 
 
 def test_effects_of_a_pose_device_are_not_tested_without_one(fitted):
