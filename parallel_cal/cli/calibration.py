@@ -32,6 +32,7 @@ from parallel_cal.cli.arguments import (
 )
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.words import join_words
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -154,6 +155,11 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
         following = command_line(["diagnose", output], model, run.bags, run.data)
     if implausible := bool(step.result.implausible):
         following = command_line(["diagnose", run.model], step.model, run.bags, run.data)
+    is_command, reason = bool(written) or implausible, ""
+    if (odd := step.result.outliers) is not None:
+        them = "it" if len(odd.numbers) == 1 else "them"
+        reason = f"check sample {join_words(odd.titles)}, and fit without {them} if wrong"
+        following, is_command = _write_refit(step, run, odd.numbers)
     console.progress("", 1.0)
     console.warn(step.warnings, brief=not run.details)
     if as_json:
@@ -163,7 +169,20 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
     console.show(describe(step), list_options(run.details, run.parameters))
     if written:
         console.say(f"written: {output} (sha256 {written['hash'][:12]})")
-    print_summary(step, following, is_command=bool(written) or implausible)
+    print_summary(step, following, is_command, reason)
+
+
+def _write_refit(step: Step, run: _Run, wrong: Sequence[int]) -> tuple[str, bool]:
+    """Write the command that fits again without some samples, or say how to change the last one if
+    it had options or effects of its own, and whether it is a command."""
+    excluded = ",".join(map(str, sorted({*step.result.dataset.excluded, *wrong})))
+    options = replace(step.result.options, insist=False)
+    if step.name != "fit" or "effect" in step.model.history[-1] or options != FitOptions():
+        return f"the same command with --data exclude={excluded}", False
+    data = [item for item in run.data or [] if not item.startswith("exclude=")]
+    data.append(f"exclude={excluded}")
+    output = str(run.output or "fitted.yaml")
+    return command_line(["fit", run.model], step.model, run.bags, data, "-o", output), True
 
 
 def _say_what_follows(step: Step, model: Path) -> str:
@@ -211,13 +230,16 @@ def write_program(model: Model, folders: Sequence[Path] = ()) -> str:
     return f"PYTHONPATH={shlex.quote(path)} parallel-cal" if path else "parallel-cal"
 
 
-def print_summary(result: object, following: str, is_command: bool) -> None:
-    """Print the last lines of a result, and what to do next."""
+def print_summary(result: object, following: str, is_command: bool, reason: str = "") -> None:
+    """Print the last lines of a result, and what to do next, for a `reason`."""
     from parallel_cal.reporting.readable import COMMAND
     from parallel_cal.reporting.summary import Line, summarize, summary_table
 
-    line = Line("next:", following, COMMAND if is_command else "")
-    console.show([summary_table([*summarize(result), line])])
+    mark = COMMAND if is_command else ""
+    lines = [Line("next:", following, mark)]
+    if reason:
+        lines = [Line("next:", reason), Line("", following, mark)]
+    console.show([summary_table([*summarize(result), *lines])])
 
 
 def compare(

@@ -65,6 +65,7 @@ def diagnose(
         "MODEL": shlex.quote(str(model)),
         "RECORDING": shlex.join([*map(str, bags), *reading]),
         "BETTER.yaml": "better.yaml",
+        "REFITTED.yaml": "refitted.yaml",
     }
     lines = [name_files(line, names) for line in summarize(found)]
     if not found.next_steps:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,7 +27,7 @@ from parallel_cal.diagnosis.patterns import (
 )
 from parallel_cal.identification.budget import Iso9283, iso_9283, list_sides
 from parallel_cal.identification.given_model import GivenModel
-from parallel_cal.identification.noise_floor import simulate_noise_floor
+from parallel_cal.identification.noise_floor import NoiseFloor, find_noise_floor
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
@@ -58,27 +57,29 @@ class Comparison(ShownInNotebook):
         What was measured, with its covariance.
     errors : Errors
         Errors of the model at each sample; `errors.summary` holds their means and rms.
-    noise : Summary
-        The noise floor: the errors that noise alone would cause.
+    noise_floor : NoiseFloor
+        The errors that noise alone would cause; `noise` is its summary.
     given : GivenModel
         The model as it was given.
     registration : Registration or None
         The device's frame, if the poses had to be moved into {B}.
-    noise_sigmas : dict of float
-        By kind, how much the rms of the noise floor varies between repetitions (1 sigma).
     """
 
     model: Model
     dataset: Dataset
     observations: Observations
     errors: Errors
-    noise: Summary
+    noise_floor: NoiseFloor
     given: GivenModel
     registration: Registration | None = None
-    noise_sigmas: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Comparison({self.model.mechanism.name}, {len(self.dataset)} samples)"
+
+    @property
+    def noise(self) -> Summary:
+        """The errors that noise alone would cause."""
+        return self.noise_floor.summary
 
     @cached_property
     @single_threaded()
@@ -228,6 +229,7 @@ class Comparison(ShownInNotebook):
             "held_out": self.held_out.summary,
             "registered_only": self.given.is_registered,
             "noise_floor": self.noise,
+            "revisits": self.noise_floor.revisits,
             "registration": self.registration,
             "iso_9283": self.iso_9283,
             "samples": len(self.observations),
@@ -301,14 +303,13 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     if observations.unknown:  # in units of the errors, not of a guess
         none = np.zeros(len(given.model.values), dtype=bool)
         observations = estimate_noise(given.model, observations, none).observations
-    noise = simulate_noise_floor(given.model, observations)
+    noise = find_noise_floor(given.model, observations, given.errors, dataset)
     return Comparison(
         given.model,
         dataset,
         observations,
         given.errors,
-        noise.summary,
+        noise,
         given,
         given.registration,
-        noise.sigmas,
     )

@@ -33,7 +33,7 @@ from parallel_cal.diagnosis.entries import (
 from parallel_cal.diagnosis.explanation import Explanation
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
-from parallel_cal.diagnosis.noise import NoiseLevel
+from parallel_cal.diagnosis.noise import NoiseLevel, advise_on_noise
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
     OddSample,
@@ -175,6 +175,8 @@ class Diagnosis(ShownInNotebook):
             "search for a law outside the catalogue: parallel-cal discover MODEL RECORDING "
             "-o my_law.py"
         )
+        if self.noise.variance is None and not self.explanation.laws:
+            discover = advise_on_noise(self.best.fitted, self.noise.pure_error.dof)
         excluded = sorted(self.dataset.excluded)  # the command is copied: it names all of them
         exclude = f"--data exclude={','.join(map(str, excluded))}"
         options = f"RECORDING{f' {exclude}' if excluded else ''} -o BETTER.yaml"
@@ -196,13 +198,14 @@ class Diagnosis(ShownInNotebook):
         if self.verdict.needs_sides:
             adds, discovers = [STATE_THE_SIDES], []
         checks = []
+        without = f"parallel-cal fit MODEL RECORDING {exclude} -o REFITTED.yaml"
         if odd := [one.title for one in self.knocked if not one.sideless]:
             samples, them = ("samples", "them") if len(odd) > 1 else ("sample", "it")
             checks.append(
-                f"check {samples} {join_words(odd)}, or exclude {them} from each command: {exclude}"
+                f"check {samples} {join_words(odd)}, and fit without {them} if wrong: {without}"
             )
         if sideless := [one.title for one in self.knocked if one.sideless]:
-            checks.append(f"exclude sample {', '.join(sideless)} from each command: {exclude}")
+            checks.append(f"fit without sample {', '.join(sideless)}: {without}")
         steps = discovers + adds if self.verdict.suspected_of_law else adds + discovers
         return tuple(checks + steps)
 

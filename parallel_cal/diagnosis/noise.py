@@ -8,12 +8,14 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.region import is_of_touches
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.image_poses import IMAGE_SCATTER
 from parallel_cal.identification.observations import SCATTER
 from parallel_cal.posterior.scene import Scene
-from parallel_cal.recordings.replicates import average_groups
+from parallel_cal.recordings.replicates import subtract_visits_mean
 
 # The noise of images was measured without the robot's model, so it counts as stated.
 STATED = ("option", "dataset", "model file", IMAGE_SCATTER)
@@ -24,8 +26,8 @@ class PureError:
     """Mean square of replicates about their mean, in units of the observations' variance, and its
     degrees of freedom; None without replicates.
 
-    The part that depends linearly on the conditions of a visit (direction, payload, temperature,
-    time) is not measurement noise and is removed.
+    The part that depends linearly on the conditions of a visit is not measurement noise and is
+    removed.
     """
 
     variance: float | None
@@ -46,28 +48,19 @@ class PureError:
 
     @classmethod
     def of(cls, scene: Scene, field: Field) -> PureError:
-        """Estimate from replicates; without a measured pose they cannot be distinguished from
-        neighbours."""
-        if scene.dataset.mode == "continuous" or not field.measured.any():
+        """Estimate from replicates of poses or of what sensors read; without either they cannot be
+        distinguished from neighbours."""
+        read = np.isfinite(scene.reading_residuals).any()
+        if scene.dataset.mode == "continuous" or not (field.measured.any() or read):
             return cls(None, 0)
-        z, group = field.noise_units, scene.observations.group
-        visited = np.unique(group, return_inverse=True)[1]
-        names = ("direction.", "payload", "temperature", "time")
-        known = [
-            values
-            for name, values in scene.dataset.conditions.items()
-            if name.startswith(names) and np.isfinite(values).all()
-        ]
-        # (N, k), each condition in units of its own spread.
-        circumstances = np.reshape(known, (len(known), len(scene.x))).T
-        circumstances = circumstances / np.maximum(circumstances.std(axis=0), 1e-12)
-        other = circumstances - average_groups(circumstances, group)[visited]
-        apart = z - average_groups(z, group)[visited]
-        share, _, rank, _ = np.linalg.lstsq(other, apart, rcond=1e-9)
-        apart = apart - other @ share
-        components = int(np.any(z != 0, axis=0).sum())
-        dof = max(len(z) - int(visited.max()) - 1 - int(rank), 0) * components
-        return cls(float(np.sum(apart**2)) / dof if dof else None, dof)
+        squares, dof = 0.0, 0
+        for z in field.noise_units.T:
+            known = np.flatnonzero(z)  # what was not measured is exactly zero
+            visits = scene.observations.group[known]
+            conditions = {name: c[known] for name, c in scene.dataset.conditions.items()}
+            apart, own = subtract_visits_mean(z[known, None], visits, conditions)
+            squares, dof = squares + float(np.sum(apart**2)), dof + own
+        return cls(squares / dof if dof else None, dof)
 
 
 @dataclass(frozen=True)
@@ -167,3 +160,18 @@ class NoiseLevel:
         if self.dof is None:
             return float(chdtrc(parameters, fall))
         return float(fdtrc(parameters, self.dof, fall / parameters))
+
+
+def advise_on_noise(result: FitResult, revisits: int) -> str:
+    """Say how an owner finds out what noise was not stated; `revisits` are too few to show it."""
+    dataset, sensors = result.dataset, {sensor.name for sensor in result.model.sensors}
+    again, one = ("touch", "point") if is_of_touches(dataset) else ("visit", "pose")
+    places = {
+        f"`sigma` of its sensor {kind.name}" if kind.name in sensors else "`noise`"
+        for kind in result.observations.unknown
+    }
+    return (
+        f"to learn whether anything is left, {again} {max(MIN_REPLICATE_DOF - revisits, 1)} "
+        f"{one}s or more a second time, or measure one {one} ten times and state the standard "
+        f"deviation in the model file ({' and '.join(sorted(places))}); then diagnose again"
+    )

@@ -17,6 +17,7 @@ from parallel_cal.identification.registration import SENSOR, shows_pose
 from parallel_cal.model.region import REGION_MARGIN
 from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import make_pool
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
 
 TOUCH = READING + "probe"
@@ -25,6 +26,11 @@ TOUCH_A_BLOCK = (
     "touch the top of a block of known height on the bed, at several places and heights: touches "
     "of one plane hardly show errors that grow with the height, such as encoder_gain"
 )
+
+
+def is_of_touches(dataset: Dataset) -> bool:
+    """Whether the samples are touches of a bed, at which no device measured a pose."""
+    return TOUCH in dataset.conditions and not dataset.measured.any()
 
 
 def is_touched_at_one_height(result: FitResult) -> bool:

@@ -12,7 +12,12 @@ from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
-from parallel_cal.diagnosis.region import AT_ONE_HEIGHT, Region, is_touched_at_one_height
+from parallel_cal.diagnosis.region import (
+    AT_ONE_HEIGHT,
+    Region,
+    is_of_touches,
+    is_touched_at_one_height,
+)
 from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.diagnosis.search import Trial, ratio_of
 from parallel_cal.diagnosis.thresholds import (
@@ -33,8 +38,8 @@ from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.shelf import load_effect
 
 NO_NOISE = (
-    "without a noise figure it is not known whether the explanation is complete: visit poses "
-    "again, or state the noise if it was measured"
+    "without a noise figure it is not known whether the explanation is complete: {again} again, or "
+    "state the noise if it was measured"
 )
 QUIETER = "the noise is smaller than stated, as where a pose is the mean of many messages"
 NOT_IN_CATALOGUE = "An effect is missing that the catalogue does not describe"
@@ -219,11 +224,12 @@ def _judge(found: Findings) -> Verdict:
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
         rest = ", but the residuals still have structure" if found.structure.has_structure else ""
         known = max(found.probability.values(), default=0.0) > CERTAIN
+        touched = is_of_touches(found.best.fitted.dataset)
         return Verdict(
             "partly_explained" if known else "cannot_know",
             f"{helps}{rest}. {errors}",
             share,
-            remarks=(NO_NOISE,),
+            remarks=(NO_NOISE.format(again="touch points" if touched else "visit poses"),),
         )
     if found.held > MAX_HELD_COORDINATE_SIGMAS:
         return Verdict(

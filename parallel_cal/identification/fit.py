@@ -54,8 +54,8 @@ from parallel_cal.identification.identified import Identification, Identified
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import (
     NoiseFloor,
+    find_noise_floor,
     noise_floor,
-    simulate_noise_floor,
 )
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, blocks, list_noise, observe
@@ -204,7 +204,10 @@ class FitResult(ShownInNotebook):
     @cached_property
     def simulated_noise(self) -> NoiseFloor:
         """The noise floor, and how much it varies between repetitions of the measurements."""
-        return simulate_noise_floor(self.model, self.observations)
+        seen = self.after
+        if self.outliers is not None:  # an outlier is no revisit of its pose
+            seen = seen.only_at(~np.isin(self.dataset.numbers, self.outliers.numbers))
+        return find_noise_floor(self.model, self.observations, seen, self.dataset)
 
     @property
     def noise_floor(self) -> Summary:
@@ -451,6 +454,7 @@ class FitResult(ShownInNotebook):
             "budget": to_json_value(self.budgets),
             "iso_9283": to_json_value(self.iso_9283),
             "noise_floor": self.noise_floor.document(),
+            "revisits": self.simulated_noise.revisits,
             "noise_from": self.observations.noise_from,
             "noise": to_json_value(list_noise(self.model, self.observations)),
             "loss": self.options.loss,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -20,23 +21,65 @@ from parallel_cal.identification.prediction_errors import (
     where_known,
 )
 from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.replicates import subtract_visits_mean
+
+KINDS_OF_REVISITS = ("position", "orientation", "joint", "reading")
 
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Errors that a perfect model would show; nothing is known if the noise is only assumed.
+    """Errors that a perfect model would show.
 
     `sigmas` is by kind the standard deviation of its rms between repetitions of all measurements.
+    `revisits` is 0 if the floor follows from the stated noise. If the noise was not stated, it is
+    the number of visits beyond the first one of each pose, less the conditions that differed
+    between them: the scatter of these visits is the floor, and nothing else is known of it.
     """
 
     summary: Summary = field(default_factory=Summary)
     sigmas: Mapping[str, float] = field(default_factory=dict)
+    revisits: int = 0
 
 
 def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summary:
     """Errors that a perfect model of this robot would show with the same measurement noise; None if
     the noise is only assumed."""
     return simulate_noise_floor(model, observations, seed).summary
+
+
+def find_noise_floor(
+    model: Model, observations: Observations, found: Errors, dataset: Dataset
+) -> NoiseFloor:
+    """Return the noise floor by the stated noise, or else by what the errors `found` of the model
+    show at poses that were visited more than once."""
+    if observations.noise_assumed:
+        return compare_revisits(found, dataset)
+    return simulate_noise_floor(model, observations)
+
+
+def compare_revisits(found: Errors, dataset: Dataset) -> NoiseFloor:
+    """Compare the errors of the samples (N) of a dataset at each pose with their mean there.
+
+    What depends linearly on the conditions of the visits is removed. With the covariance C (k, k)
+    of the k components of an error, the sum of its squares has about tr(C)^2 / tr(C^2) degrees of
+    freedom per visit, so the standard deviation of a rms is rms sqrt(tr(C^2) / (2 visits)) / tr(C)
+    (Satterthwaite, Biometrics Bulletin 2 (1946) 110).
+    """
+    summary, sigmas, count = dict[str, float](), dict[str, float](), 0
+    for kind in KINDS_OF_REVISITS if dataset.mode != "continuous" else ():
+        known = np.isfinite(found.norms(kind))
+        part = np.nan_to_num(getattr(found, kind)[known])
+        conditions = {name: c[known] for name, c in dataset.conditions.items()}
+        apart, visits = subtract_visits_mean(part, dataset.pose_id[known], conditions)
+        squares = apart.T @ apart
+        if not visits or not (total := float(np.trace(squares))):
+            continue
+        rms = math.sqrt(total / visits)
+        summary[f"{kind}_rms"] = rms
+        sigmas[kind] = rms * float(np.linalg.norm(squares)) / total / math.sqrt(2 * visits)
+        count = max(count, visits)
+    return NoiseFloor(Summary(**summary), sigmas, count)
 
 
 @single_threaded()

@@ -41,8 +41,11 @@ def describe_unexplained_motion(result: FitResult) -> str:
         error = float(np.median(errors[known]))
         if error <= MAX_UNEXPLAINED_SHARE * motion:
             continue
-        stated = result.noise_floor.rms(kind)
-        if stated is None:  # of the noise, only that of the device may be stated
+        floor = result.simulated_noise
+        stated = floor.summary.rms(kind)
+        # Of the noise, only that of the device may be stated. Revisits differ by as much as all
+        # else if poses and joints do not belong together.
+        if stated is None or floor.revisits:
             part = slice(first - 6, first - 3 or None)
             variance = np.diagonal(result.observations.S, axis1=1, axis2=2)[known, part].copy()
             for unknown in result.observations.unknown:

@@ -45,6 +45,13 @@ EXPORTED_QUATERNIONS = (
     ("dquaternion1", "dquaternion2", "dquaternion3", "dquaternion0"),
 )
 MAX_NORM_ERROR = 0.01  # of a quaternion; four other columns q0 to q3 are none
+# What reads the touches of each firmware.
+TOUCH_IMPORTS = (
+    "A table of touches of a bed (x, y and the height z) has no joint readings: import it with the "
+    "configuration of the machine, from which its joints follow: parallel-cal import rrf {table} "
+    "config.g -o touches.json (RepRapFirmware), or import klipper, marlin or linuxcnc with the "
+    "files in which these store their touches (docs/delta_printer_details.md)"
+)
 MAX_SHOWN_HEADER = 400  # characters of a table's header in a message
 
 
@@ -190,11 +197,7 @@ def _explain_missing(
             f"{stated}: joints: {{{example}}}, position: {{columns: [tool_x, tool_y, tool_z]}}"
         )
     elif missing == [*joints] and find_position(table, joints):
-        expected += (
-            ". A table of touches of a bed (x, y and the height z) has no joint readings: import "
-            f"it with the configuration of the printer (parallel-cal import rrf {table.path} "
-            "config.g -o touches.json)"
-        )
+        expected += f". {TOUCH_IMPORTS.format(table=table.path)}"
     header = textwrap.shorten(", ".join(table.header), MAX_SHOWN_HEADER, placeholder=" ...")
     return f"{table.path}:1: {problem}; the table has {header}. {expected} (see docs/import_csv.md)"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from parallel_cal.recordings.samples import mean_rotation
 Ids = NDArray[np.int64]
 MIN_POSITION_TOLERANCE_M = 1e-3  # m; a device's noise separates two visits by less
 MAX_ROTATION_RAD = 0.1  # rad between two visits; it only has to separate assembly modes
+VISIT_CONDITIONS = ("direction.", "payload", "temperature", "time")  # may differ between visits
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,31 @@ def average_groups(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     sums = np.zeros((len(names), values.shape[1]))
     np.add.at(sums, inverse, values)
     return np.asarray(sums / count[:, None])
+
+
+def subtract_visits_mean(
+    values: Array, group: Ids, conditions: Mapping[str, Array]
+) -> tuple[Array, int]:
+    """Return how far rows (N, k) are from the mean of their group, and the degrees of freedom.
+
+    What depends linearly on the conditions of a visit (direction, payload, temperature, time) is
+    not measurement noise: it is removed, and takes degrees of freedom.
+    """
+    if not len(values):
+        return values, 0
+    known = [
+        column
+        for name, column in conditions.items()
+        if name.startswith(VISIT_CONDITIONS) and np.isfinite(column).all()
+    ]
+    # (N, n_conditions), each condition in units of its own spread.
+    circumstances = np.reshape(known, (len(known), len(values))).T
+    circumstances = circumstances / np.maximum(circumstances.std(axis=0), 1e-12)
+    names, visited = np.unique(group, return_inverse=True)
+    other = _subtract_group_means(circumstances, visited)
+    apart = _subtract_group_means(values, visited)
+    share, _, rank, _ = np.linalg.lstsq(other, apart, rcond=1e-9)
+    return apart - other @ share, max(len(values) - len(names) - int(rank), 0)
 
 
 def _pool_scatter(deviation: Array, group: NDArray[np.intp]) -> Array:

@@ -189,10 +189,14 @@ class Residuals:
     @classmethod
     def of(cls, scene: Scene, field: Field, found: Field | None = None) -> Residuals:
         used = np.flatnonzero(np.any(field.noise_units != 0, axis=0))
-        read = "reading" if np.isfinite(scene.reading_residuals).any() else "equation"
+        names = list(POSE)
+        if not field.kind:
+            names = [f"equation {k + 1}" for k in range(field.noise_units.shape[1])]
+            if np.isfinite(scene.reading_residuals).any():
+                names = [str(channel) for channel in scene.model.structure.channels]
         return cls(
             kind=field.kind,
-            components=[POSE[k] if field.kind else f"{read} {k + 1}" for k in used],
+            components=[names[k] for k in used],
             sample=scene.dataset.numbers,
             place=places(scene, field.kind),
             now=vectors_in_base(scene, field),

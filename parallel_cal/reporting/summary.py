@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.model.words import join_words
 from parallel_cal.reporting.blocks import Cell, Table
 from parallel_cal.reporting.contents import list_shown_kinds
 from parallel_cal.reporting.names import title_of
@@ -28,11 +30,14 @@ from parallel_cal.reporting.readable import (
 if TYPE_CHECKING:
     from parallel_cal.diagnosis.comparison import Comparison
     from parallel_cal.diagnosis.diagnose import Diagnosis
+    from parallel_cal.diagnosis.noise import NoiseLevel
     from parallel_cal.identification.estimate import Estimate
+    from parallel_cal.identification.noise_floor import NoiseFloor
     from parallel_cal.model.model import Model
     from parallel_cal.posterior.scene import Scene
     from parallel_cal.session.steps import Step
 
+Writer = Callable[[Summary, Mapping[str, float]], str]
 PROGRAM = "parallel-cal"
 HELD_OUT = " (rms at held-out poses)"
 STATED = (
@@ -97,17 +102,21 @@ def _summarize_fit(
     write = _writer(result.model, after, noise)
     yield Line("before:", write(*before) + HELD_OUT)
     yield Line("after:", write(after, result.rms_sigmas(result.held_out)), FOUND)
-    shown = write(noise, result.simulated_noise.sigmas)
-    yield Line("noise:", shown + _name_noise(result, result.estimate))
-    yield _state_missing(result, result.estimate, after, noise)
+    yield _state_noise(write, result.simulated_noise, result, result.estimate)
+    if (odd := result.outliers) is not None:
+        verb = "contradicts" if len(odd.titles) == 1 else "contradict"
+        samples = "sample" if len(odd.titles) == 1 else "samples"
+        why = f"{samples} {join_words(odd.titles)} {verb} all others"
+        yield Line("missing:", f"not known, because {why}", ODD)
+    else:
+        yield _state_missing(result, result.estimate, after, noise)
 
 
 def _summarize_comparison(comparison: Comparison) -> Iterator[Line]:
     errors, noise = comparison.errors, comparison.noise
     write = _writer(comparison.model, errors.summary, noise)
     yield Line("error:", write(errors.summary, {}) + " (rms)")
-    shown = write(noise, comparison.noise_sigmas)
-    yield Line("noise:", shown + _name_noise(comparison, comparison.scene))
+    yield _state_noise(write, comparison.noise_floor, comparison, comparison.scene)
     yield _state_missing(comparison, comparison.scene, errors.summary, noise)
 
 
@@ -115,17 +124,48 @@ def _state_missing(
     judged: FitResult | Comparison, residual: Estimate | Scene, errors: Summary, noise: Summary
 ) -> Line:
     """Say whether the residual is larger than the noise, and by how much."""
+    high, chi2 = chi2_band(residual.dof)[1], residual.chi2_per_dof
     if judged.observations.noise_assumed:
-        return Line("missing:", "not known, because the noise is not stated")
-    if residual.chi2_per_dof > chi2_band(residual.dof)[1]:
+        level = _judge_by_revisits(judged)
+        if level.variance is None:
+            few = f" {MIN_REPLICATE_DOF} times" if level.pure_error.dof else ""
+            why = f"the noise is not stated, and no poses were visited again{few}"
+            return Line("missing:", f"not known, because {why}")
+        high = level.band(residual.dof)[1]
+    if chi2 > high:
         return Line("missing:", _describe_excess(judged.model, errors, noise), ODD)
     return Line("missing:", "nothing larger than the noise")
 
 
-def _name_noise(judged: FitResult | Comparison, residual: Estimate | Scene) -> str:
-    """Say whose noise it is, where the residuals show that the samples have less than is stated."""
+def _judge_by_revisits(judged: FitResult | Comparison) -> NoiseLevel:
+    """Judge the noise by poses that were visited more than once."""
+    from parallel_cal.diagnosis.field import Field
+    from parallel_cal.diagnosis.noise import NoiseLevel
+    from parallel_cal.posterior.scene import Scene
+
+    if isinstance(judged, FitResult):
+        scene = Scene.of(judged.model, judged.dataset, judged.observations, judged.free)
+    else:
+        scene = judged.scene
+    return NoiseLevel.of(scene, Field.of(scene), structured=False)
+
+
+def _state_noise(
+    write: Writer, noise: NoiseFloor, judged: FitResult | Comparison, residual: Estimate | Scene
+) -> Line:
+    """State the noise floor and its source: the stated noise, or visits of the same poses.
+
+    The residuals may show that the samples have less noise than is stated.
+    """
+    shown = write(noise.summary, noise.sigmas)
+    if noise.revisits:
+        return Line("noise:", f"{shown} by {count_revisits(noise.revisits)}")
     small = residual.dof > 0 and residual.chi2_per_dof < chi2_band(residual.dof)[0]
-    return STATED if small and not judged.observations.noise_assumed else ""
+    return Line("noise:", shown + STATED * (small and not judged.observations.noise_assumed))
+
+
+def count_revisits(count: int) -> str:
+    return f"{count} revisit{'s' * (count > 1)} of the same poses"
 
 
 def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
@@ -137,8 +177,7 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     if diagnosis.effects:
         errors = write(best.held_out.summary, best.rms_sigmas(best.held_out))
         yield Line("with it:", f"{errors} with {' and '.join(diagnosis.effects)}", FOUND)
-    shown = write(noise, best.simulated_noise.sigmas)
-    yield Line("noise:", shown + _name_noise(best, best.estimate))
+    yield _state_noise(write, best.simulated_noise, best, best.estimate)
     for cause in diagnosis.missing:
         yield Line("missing:", _join_rivals(cause["each"], "{name} {percent}"), ODD)
     if not diagnosis.missing:
@@ -186,9 +225,7 @@ def describe_left(diagnosis: Diagnosis) -> str:
     }[diagnosis.left]
 
 
-def _writer(
-    model: Model, errors: Summary, noise: Summary
-) -> Callable[[Summary, Mapping[str, float]], str]:
+def _writer(model: Model, errors: Summary, noise: Summary) -> Writer:
     """Return a function that writes errors and their standard deviations in ASCII."""
     kinds = list_shown_kinds(errors, noise)
     units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))

@@ -43,6 +43,7 @@ from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session changed in the meantime: look at it and try again"
 # The fields of a state that the next one takes over unless it changes them.
+SAMPLES_SUFFIX = ".json"
 PERSISTENT = ("excluded", "imported", "taken", "fitting")
 # The fields of a state that judge its model.
 JUDGED = (
@@ -369,16 +370,16 @@ class Session(History):
     def import_table(
         self, table: Path, columns: Mapping[str, Any], progress: Progress | None = None
     ) -> State:
-        """Add the samples of a table. The model stays unchanged.
+        """Add the samples of a table, or of a file of samples. The model stays unchanged.
 
         The session keeps a copy of the table, with its column map beside it.
 
         Parameters
         ----------
         table : Path
-            A file with the suffix .csv, .tsv or .txt.
+            A file with the suffix .csv, .tsv or .txt, or .json of samples (`parallel-cal import`).
         columns : mapping
-            The contents of a column map (docs/import_csv.md).
+            The contents of a column map (docs/import_csv.md); not used for samples.
         progress : callable, optional
             Called with a stage in words and the completed share (0 to 1).
 
@@ -392,10 +393,9 @@ class Session(History):
         SessionError, DatasetError, ModelFileError
             If the file is no table, or if the map is wrong. The session is then unchanged.
         """
-        if not is_table(table):
-            raise SessionError(
-                f"{table.name}: not a table by its suffix: expected {', '.join(TABLE_SUFFIXES)}"
-            )
+        if not (is_table(table) or table.suffix == SAMPLES_SUFFIX):
+            known = ", ".join([*TABLE_SUFFIXES, SAMPLES_SUFFIX])
+            raise SessionError(f"{table.name}: not a table by its suffix: expected {known}")
         if progress:
             progress("reading the table", 0.0)
         folder = self.folder / "imports" / uuid4().hex[:8]
@@ -403,8 +403,9 @@ class Session(History):
         try:
             file = folder / table.name
             write_atomically(file, table.read_bytes())
-            beside = file.with_suffix(MAP_SUFFIX)
-            write_atomically(beside, json.dumps(columns, indent=1) + "\n")  # JSON is YAML
+            if is_table(file):
+                beside = file.with_suffix(MAP_SUFFIX)
+                write_atomically(beside, json.dumps(columns, indent=1) + "\n")  # JSON is YAML
             imported = [*self.state.imported, str(file.relative_to(self.folder))]
             data = self._load(self._list_recordings(imported, self.state.taken))
             changes: dict[str, Any] = {"imported": imported, "excluded": self._find_excluded(data)}

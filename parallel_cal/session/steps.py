@@ -19,6 +19,7 @@ from parallel_cal.diagnosis.addition import Addition, find_addition, with_given_
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit
+from parallel_cal.identification.given_model import last_fit_to, was_last_fitted_to
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import (
     PlatformShift,
@@ -157,6 +158,11 @@ def fitted(
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
     added = "+".join(n for text in effects for n, _ in parse_effects(text))
     judged = acceptance(result)
+    last = last_fit_to(model, dataset)
+    if last is not None and not (result.implausible or was_last_fitted_to(model, dataset)):
+        # The given model was fitted to these samples with others excluded, so that its error at
+        # them proves nothing, and that of the same fit to the present ones is the new one.
+        judged = replace(judged, against="")
     has_prior = how.prior or how.update or result.given.fits_of_these_samples
     may_help = judged.judged and not (has_prior or result.implausible)
     found = _check_proven(judged, force, PRIORS if may_help else "")

@@ -18,6 +18,7 @@ from parallel_cal.recordings.header_names import (
     OTHER_NAMES,
     POSITION,
     QUATERNION,
+    TOUCH_IMPORTS,
     find_conditions,
     find_names,
     find_position,
@@ -27,6 +28,7 @@ from parallel_cal.recordings.header_names import (
 from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
 from parallel_cal.recordings.loading import MAP_SUFFIX, load_sessions
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.samplefile import holds_samples
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 from parallel_cal.session.history import History
 from parallel_cal.session.known_columns import KnownColumns, recall_columns
@@ -45,9 +47,10 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
     """Read a table for the session in `folder`; `error` says why it cannot be read, empty if it
     can. `joints` are the units (rad or m) of the model's joints by name. `columns`, `conditions`
     and `readings` (those of the model's sensors) name the column of a quantity, `angles` those of
-    three angles, `name` that of a name of each row. `with_unit` lists the columns that state their
-    unit. `remembered` is the column map of the last table whose columns this one has, too, and
-    `remembered_from` says which table that was, and when."""
+    three angles, `name` that of a name of each row. `with_unit` lists the columns that state
+    their unit. `about_touches` says how touches of a bed are imported. `remembered` is the
+    column map of the last table whose columns this one has, too, and `remembered_from` says
+    which table that was, and when."""
     try:
         session = History(folder)
         model = read_model(folder / session.state.model)
@@ -84,6 +87,7 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         | {name: table.find(one.column) for name, one in find_readings(table).items()},
         "joints": dict(zip(mechanism.joints, mechanism.joint_units, strict=True)),
         "assumed_unit": table.assumed_unit,
+        "about_touches": TOUCH_IMPORTS.format(table=file.name),
         "with_unit": [word for word in table.header if split_unit(word)[1]],
         "remembered": known and known[0].columns,
         "remembered_from": known and _describe_import(*known),
@@ -98,6 +102,21 @@ def read_samples(file: Path, folder: Path, columns: Mapping[str, Any]) -> tuple[
     write_atomically(file.with_suffix(MAP_SUFFIX), json.dumps(columns))  # JSON is YAML
     reading = ReadOptions(**session.record.reading)
     return model, load_sessions([file], reading, mechanism=model.mechanism)
+
+
+def preview_file(file: Path, folder: Path) -> dict[str, Any]:
+    """Preview a table as `preview_table` does; of a file of samples only the `error` of its import
+    into the session in `folder`, empty if there is none, and `words` about its samples."""
+    if not holds_samples(file):
+        return preview_table(file, folder)
+    try:
+        session = History(folder)
+        mechanism = read_model(folder / session.state.model).mechanism
+        found = load_sessions([file], ReadOptions(**session.record.reading), mechanism=mechanism)
+    except ParallelCalError as error:
+        return {"error": str(error)}
+    poses = len(set(found.pose_id.tolist()))
+    return {"error": "", "words": f"{len(found)} samples of {poses} poses: {found.source}"}
 
 
 def _describe_import(known: KnownColumns, seconds: float) -> str:

@@ -404,7 +404,7 @@ def _work(
             done = getattr(session, step)(*given, progress=tell, **options)
         except UnprovenStepError as refused:
             return Done("", _ask_to_force(session, refused.against, step, *given))
-    if step == "import_table":
+    if step == "import_table" and given[1]:  # a file of samples has no column map
         remark = remember_columns(session.model.mechanism, *given)
     if load_view(session) is None:
         numbers = glance(session)

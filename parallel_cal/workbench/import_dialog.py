@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,17 +45,13 @@ AXES = {
 UNITS = {"time": "s", "temperature": "degC", "payload": "kg"}
 # The units in which people enter noise, and their factors to SI.
 NOISE_UNITS = {"m": ("µm", 1e-6), "rad": ("mrad", 1e-3), "m or rad": ("m or rad", 1.0)}
-SUFFIXES = ".csv,.tsv,.txt"
-TOUCHES = (
-    "A table of touches of a bed has no joint readings: import it with the configuration of the "
-    "printer (parallel-cal import rrf TABLE config.g)"
-)
+SUFFIXES = ".csv,.tsv,.txt,.json"
 POLL_INTERVAL_S = 0.1
 # The buttons that Quasar draws in their place have no names for screen readers.
 UPLOAD_HEADER = """
 <div class="row no-wrap items-center q-pa-sm">
   <label class="col relative-position q-uploader__title">
-    Drop a table here (.csv, .tsv, .txt)
+    Drop a file here (.csv, .tsv, .txt, .json)
     <q-uploader-add-trigger v-if="props.canAddFiles" />
   </label>
   <q-btn v-if="props.canAddFiles" dense flat label="Choose a file" @click="props.pickFiles" />
@@ -72,6 +69,7 @@ class ImportDialog:
         self._bench = bench
         self._folder = tempfile.TemporaryDirectory(prefix="parallel-cal-")
         self._file: Path | None = None
+        self._columns: ColumnForm | None = None  # of a table
         self._asked = ""  # what is missing of the columns, once a person pressed Import
         self._awaits_result = False
         self._drawn: dict[str, Any] = {}  # the column map whose poses are drawn
@@ -82,8 +80,9 @@ class ImportDialog:
                 "role=heading aria-level=2"
             )
             ui.label(
-                "A table has a header and one row per measured pose. Its samples are added to "
-                "those of the session; Undo reverses that."
+                "A table has a header and one row per measured pose. Samples that parallel-cal "
+                "import made of a controller's files (.json), such as touches of a printer's bed, "
+                "need no columns. They are added to those of the session; Undo reverses that."
             ).classes("text-sm")
             upload = ui.upload(auto_upload=True, max_files=1, on_upload=self._receive)
             upload.props(f'flat bordered accept="{SUFFIXES}"').classes("w-full")
@@ -109,22 +108,25 @@ class ImportDialog:
 
     async def _receive(self, event: events.UploadEventArguments) -> None:
         """Show the form for a table that was dropped."""
-        from parallel_cal.session.table_preview import preview_table  # imports NumPy
+        from parallel_cal.session.table_preview import preview_file  # imports NumPy
 
         file = Path(self._folder.name) / Path(event.file.name).name
         await event.file.save(file)
-        found = await run.cpu_bound(preview_table, file, self._bench.session.folder) or {}
+        self._answer.set_text("")
+        self._counts.set_text(f"reading {file.name}")
+        found = await run.cpu_bound(preview_file, file, self._bench.session.folder) or {}
         self._poses.clear()
-        self._counts.set_text("")
-        self._drawn = {}
-        self._answer.set_text(found.get("error", "the table cannot be read"))
+        self._counts.set_text(found.get("words", ""))
+        self._drawn, self._columns = {}, None
+        problem = found.get("error", "the table cannot be read")
+        self._answer.set_text(problem.replace(str(file), file.name))  # it lies in another folder
         self._file, self._asked = (None if self._answer.text else file), ""
         self._show_form(found)
 
     def _show_form(self, found: Mapping[str, Any]) -> None:
         """Show the form of a table; say from which earlier table its entries are, if any."""
         self._form.clear()
-        if self._file is None:
+        if self._file is None or "words" in found:
             return
         with self._form:
             if found["remembered"] is not None:
@@ -140,17 +142,18 @@ class ImportDialog:
     def _begin(self) -> None:
         if self._file is None:
             return
-        if problem := self._columns.find_problem():
+        if problem := self._columns.find_problem() if self._columns else "":
             self._asked = problem
             self._answer.set_text(problem)
             return
         self._answer.set_text("")
         self._awaits_result = True
-        self._bench.begin("import_table", self._file, self._columns.document())
+        columns = self._columns.document() if self._columns else {}
+        self._bench.begin("import_table", self._file, columns)
 
     async def _draw_poses(self) -> None:
         """Draw the poses on the robot whenever all needed columns are chosen anew."""
-        if self._file is None or self._columns.find_problem():
+        if self._file is None or self._columns is None or self._columns.find_problem():
             return
         if (document := self._columns.document()) == self._drawn:
             return
@@ -172,7 +175,7 @@ class ImportDialog:
         """Show what became of the import; close after a success."""
         bench = self._bench
         self._import.set_enabled(self._file is not None and not bench.busy)
-        if self._asked:  # what a person then chooses may solve it
+        if self._asked and self._columns:  # what a person then chooses may solve it
             self._asked = self._columns.find_problem()
             self._answer.set_text(self._asked)
         if not self._awaits_result or bench.busy:
@@ -190,12 +193,13 @@ class ColumnForm:
     def __init__(self, found: Mapping[str, Any]):
         """`found` is the preview of the table."""
         self._header, self._with_unit = found["header"], set(found["with_unit"])
-        self._assumed_unit = found["assumed_unit"]
+        self._assumed_unit, self._about_touches = found["assumed_unit"], found["about_touches"]
         guessed: dict[str, str | None] = found["columns"]
         known = found["remembered"] is not None  # the last table had these columns
         self._doubtful = ui.column().classes("w-full gap-2")
         with ui.expansion().classes("w-full").props("dense id=understood") as self._folded:
             self._show_rows(found)
+        self._show_common_units(found["joints"], guessed, known)
         self._joints = {
             name: self._pick_joint(name, unit, guessed[name], known)
             for name, unit in found["joints"].items()
@@ -284,7 +288,7 @@ class ColumnForm:
         if missing := [name for name, column in asked.items() if not column.value]:
             words = f"choose a column for {', '.join(missing)}"
             if set(missing) == set(self._joints) and all(one.value for one in self._position):
-                words += f". {TOUCHES}"
+                words += f". {self._about_touches}"
             return words
         units = [(f"unit of {name}", one, unit) for name, (one, unit, _) in self._joints.items()]
         if not self._assumed_unit:
@@ -367,6 +371,30 @@ class ColumnForm:
         shown.classes("w-full one-line-rows wide-table").props("dense flat tabindex=0 role=region")
         shown.props('aria-label="first rows of the table"')
 
+    def _show_common_units(
+        self, joints: Mapping[str, str], guessed: Mapping[str, str | None], known: bool
+    ) -> None:
+        """Let one choice be the unit of all joints that slide, and one of all that turn; a joint
+        may have another one afterwards."""
+        for si, kind in (("m", "slide"), ("rad", "turn")):
+            names = [name for name, unit in joints.items() if unit == si]
+            if len(names) < 2:
+                continue
+            which = "all joints" if len(names) == len(joints) else f"all joints that {kind}"
+            clear = known or all(self._are_clear([guessed[name]]) for name in names)
+            with self._row(which, not clear):
+                units = LENGTHS | ANGLES if si == "m" else ANGLES | LENGTHS
+                every = _pick_unit(f"unit of {which}", units)
+                every.on_value_change(partial(self._share, names, 1))
+                if si == "m":
+                    travel = _enter_travel(f"travel per turn of {which}")
+                    travel.on_value_change(partial(self._share, names, 2))
+
+    def _share(self, names: Sequence[str], part: int, event: Any) -> None:
+        """Give joints the same unit (1) or travel per turn (2)."""
+        for name in names:
+            self._joints[name][part].value = event.value
+
     def _pick_joint(
         self, name: str, unit: str, guess: str | None, known: bool
     ) -> tuple[Any, Any, Any]:
@@ -375,10 +403,7 @@ class ColumnForm:
             column = self._pick(f"column of {name}", guess)
             units = LENGTHS | ANGLES if unit == "m" else ANGLES | LENGTHS
             chosen = _pick_unit(f"unit of {name}", units)
-            travel = None
-            if unit == "m":
-                travel = ui.input("travel per turn", placeholder="71.2 mm").classes("w-36")
-                travel.tooltip("only if the column contains the angle of a motor")
+            travel = _enter_travel("travel per turn") if unit == "m" else None
         return column, chosen, travel
 
     def _row(self, title: str, is_doubtful: bool = False) -> Any:
@@ -478,6 +503,12 @@ class _NoiseFields:
 
 def _pick_unit(label: str, units: Sequence[str] | Mapping[str, float]) -> Any:
     return ui.select([IN_HEADER, *units], value=IN_HEADER, label=label).classes("w-36")
+
+
+def _enter_travel(label: str) -> Any:
+    travel = ui.input(label, placeholder="71.2 mm").classes("w-36")
+    travel.tooltip("only if the column contains the angle of a motor")
+    return travel
 
 
 def _choose(fields: Sequence[Any], values: Sequence[str | None]) -> None:

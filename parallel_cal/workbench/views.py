@@ -246,7 +246,7 @@ def _make_comparison_view(found: Comparison) -> View:
         )
     if found.noise.is_known:
         floor = tables.make_tile(
-            "noise floor", found.noise, kinds, {}, where, sigmas=found.noise_sigmas
+            "noise floor", found.noise, kinds, {}, where, sigmas=found.noise_floor.sigmas
         )
         tiles.append(floor)
     mechanism = found.model.mechanism

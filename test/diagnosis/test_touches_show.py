@@ -9,6 +9,7 @@ import virtual_printer as vp
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.region import (
     AT_ONE_HEIGHT,
     TOUCH,
@@ -18,7 +19,7 @@ from parallel_cal.diagnosis.region import (
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.model.shelf import list_plugins, load_effect, load_sensor
 from parallel_cal.posterior.scene import Scene
-from parallel_cal.reporting.contents import HeldOutErrors
+from parallel_cal.reporting.contents import HeldOutErrors, Residuals
 from parallel_cal.session import steps
 
 
@@ -47,6 +48,11 @@ def fitted(step):
 @pytest.fixture(scope="module")
 def diagnosed(step, touched):
     return diagnose(step.model, touched[1])
+
+
+def test_residuals_of_touches_have_the_name_of_their_sensor(fitted):
+    scene = Scene.of(fitted.model, fitted.dataset, fitted.observations, fitted.free)
+    assert Residuals.of(scene, Field.of(scene)).components == ["probe"]
 
 
 def test_effects_of_a_pose_device_are_not_tested_without_one(fitted):
@@ -90,3 +96,28 @@ def test_touches_of_a_high_block_are_another_height(fitted, height, one):
 def test_a_measured_pose_shows_heights(fitted):
     seen = replace(fitted.dataset, measured=np.ones_like(fitted.dataset.measured))
     assert not is_touched_at_one_height(replace(fitted, dataset=seen))
+
+
+@pytest.mark.wide
+def test_points_touched_twice_show_the_noise_that_nobody_stated(tmp_path):
+    """Lead screws err by 30 um, and the probe repeats to 5 um; 25 points are touched again."""
+    (tmp_path / "config.g").write_text(vp.CONFIG)
+    printer, rng = vp.drawn(20, wobble=30e-6), np.random.default_rng(5)
+    points = vp.places(80, 3)
+    for name, xy in (("once", points), ("again", np.vstack([points, points[:25]]))):
+        z = vp.heights(printer, xy) + 5e-6 * rng.standard_normal(len(xy))
+        rows = [f"{x:.3f},{y:.3f},{h:.4f}" for x, y, h in 1e3 * np.column_stack([xy, z])]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["X,Y,Z", *rows]))
+    files = [tmp_path / "config.g"]
+    model = configured(files).model
+    once, again = (samples("rrf", [tmp_path / f"{n}.csv", *files]) for n in ("once", "again"))
+    blind = diagnose(model, once, effects=["screw_pitch_error"])
+    assert blind.left == "unknown"
+    assert "touch 8 points or more a second time" in blind.next_steps[-1]
+    assert "`sigma` of its sensor probe" in blind.next_steps[-1]
+    assert not any("discover" in step for step in blind.next_steps)
+    found = diagnose(model, again, effects=["screw_pitch_error"])
+    assert (found.verdict.word, found.left) == ("explained", "no")
+    floor = found.best.fitted.simulated_noise
+    assert floor.revisits == 25
+    assert abs(floor.summary.reading_rms - 5e-6) < 3 * floor.sigmas["reading"]

@@ -15,10 +15,13 @@ from findings import dataset
 from virtual_effects_hidden import JointCompliance
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.cli.main import main
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.outliers import are_separated, find_outliers
+from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
+from parallel_cal.reporting.summary import summarize
 from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
 
@@ -163,3 +166,39 @@ def test_noise_that_nobody_stated_does_not_hide_an_outlier():
 def test_a_missing_effect_and_noise_make_no_outlier(seed):
     for effects in ((), [vr.Backlash((5e-3,) * 3)]):
         assert not contradicting(fit(DELTA, measured(seed, effects=effects)))
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "parallel-cal fit m.yaml s.json --data=exclude=3,20 -o fitted.yaml"),
+        (["--prior"], "the same command with --data exclude=3,20"),
+    ],
+)
+def test_fit_ends_with_the_command_that_fits_without_an_outlier(
+    tmp_path, monkeypatch, capsys, options, words
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    write_model(DELTA, "m.yaml")
+    moved(measured(0), {20: SLIPPED[20]}).to_json("s.json")
+    with pytest.raises(SystemExit, match="0"):
+        main(["fit", "m.yaml", "s.json", "--data", "exclude=3", "--hold-out", "0.25", *options])
+    following = capsys.readouterr().out.partition("next:")[2]
+    shown = " ".join(following.replace("\\\n", " ").split())
+    assert shown == f"check sample 20, and fit without it if wrong {words}"
+
+
+def test_a_model_that_was_fitted_with_an_outlier_may_be_fitted_without_it():
+    """Its error with the outlier proves nothing, so that the new one need not fall."""
+    data = moved(measured(0), {20: SLIPPED[20]})
+    data = replace(data, sha256="of these samples")
+    first = fitted(DELTA, data, hold_out=0.2, free=["chain*.theta"])
+    assert first.result.outliers.numbers == (20,)
+    left = summarize(first)[3]
+    assert left.text == "not known, because sample 20 contradicts all others"
+    others = data.select(np.arange(len(data)) != 20)
+    others = replace(others, excluded={20: "slipped"})
+    again = fitted(first.model, others, hold_out=0.2, free=["chain*.theta"])
+    assert not again.acceptance.against

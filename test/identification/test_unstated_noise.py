@@ -19,7 +19,9 @@ from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.noise_floor import compare_revisits
 from parallel_cal.identification.observations import observe
+from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
 from parallel_cal.model.mechanism import Home, Workspace
@@ -28,6 +30,7 @@ from parallel_cal.model.parameters import ParameterTable
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.reporting.summary import summarize
 from parallel_cal.virtual import robot as vr
 
 ROOT = Path(__file__).parents[2]
@@ -237,7 +240,50 @@ def test_compare_shows_errors_without_any_stated_noise(session):
     shown = compare(new_model("delta54"), delta_dataset(session))
     assert shown.errors.summary.position_rms > 0
     assert shown.document()["where"]["chi2_per_dof"] == pytest.approx(1, abs=0.1)
-    assert set(shown.document()["noise_floor"].values()) == {None}
+
+
+# ---------------------------------------------------------------- what revisits tell
+
+
+def test_revisits_show_the_noise_with_the_spread_that_is_stated():
+    """400 sessions of 30 poses, 12 of them visited twice at other temperatures."""
+    rng, true = np.random.default_rng(0), 6e-6 * np.sqrt([1.0, 1.0, 4.0])
+    visited = np.concatenate([np.arange(30), np.arange(12)])
+    found, stated = [], []
+    for _ in range(400):
+        e = rng.normal(size=(30, 3))[visited] * 1e-3 + true * rng.normal(size=(42, 3))
+        warm = rng.normal(size=42)
+        none = np.full((42, 1), np.nan)
+        floor = compare_revisits(
+            Errors(e + 1e-5 * warm[:, None], none, none, none, none, none),
+            Dataset.from_arrays(
+                JOINTS,
+                np.zeros((42, 3)),
+                np.zeros((42, 3)),
+                pose_id=visited,
+                conditions={"temperature": warm},
+            ),
+        )
+        assert floor.revisits == 11  # one degree of freedom is that of the temperature
+        found.append(floor.summary.position_rms)
+        stated.append(floor.sigmas["position"])
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(np.linalg.norm(true), rel=0.02)
+    assert np.std(found) == pytest.approx(np.mean(stated), rel=0.1)
+
+
+def test_lines_of_a_comparison_name_the_revisits(session):
+    shown = compare(new_model("delta54"), delta_dataset(session))
+    lines = {line.label: line.text for line in summarize(shown)}
+    assert lines["noise:"].endswith("by 20 revisits of the same poses")
+    assert "beside the noise" in lines["missing:"]
+    visited = session["pose_index"]
+    once = np.flatnonzero([k not in visited[:i] for i, k in enumerate(visited)])
+    lines = {
+        line.label: line.text
+        for line in summarize(compare(new_model("delta54"), delta_dataset(session).select(once)))
+    }
+    assert lines["noise:"] == "not known"
+    assert "no poses were visited again" in lines["missing:"]
 
 
 # ---------------------------------------------------------------- noise of joints in model files

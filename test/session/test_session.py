@@ -33,6 +33,7 @@ from parallel_cal.session.saving import (
     compare_with_model_in_use,
 )
 from parallel_cal.session.session import Session, SessionError
+from parallel_cal.session.table_preview import preview_file
 from parallel_cal.workbench.views import view
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
@@ -706,6 +707,23 @@ def test_a_session_imports_tables_and_keeps_its_excluded_samples(tmp_path):
     assert len(again.samples) == 40
 
 
+def test_a_session_imports_samples_that_were_made_of_a_controllers_files(tmp_path):
+    file = tmp_path / "touches.json"
+    load_dataset(BAG).to_json(file)
+    session = Session.new(tmp_path / "s", read_model(MODEL), [])
+    assert preview_file(file, session.folder)["words"].startswith("94 samples of 74 poses")
+    assert session.import_table(file, {}).step == "import 94 samples of touches.json"
+    file.unlink()  # the session has its own copy
+    assert len(Session(tmp_path / "s").samples) == 94
+
+
+def test_a_height_map_is_named_with_the_command_that_reads_it(tmp_path):
+    (tmp_path / "map.csv").write_text("RepRapFirmware height map file v2 generated at 2026\n1,2\n")
+    session = Session.new(tmp_path / "s", read_model(MODEL), [])
+    error = preview_file(tmp_path / "map.csv", session.folder)["error"]
+    assert "parallel-cal import rrf map.csv config.g -o touches.json" in error
+
+
 def test_a_sample_stays_excluded_if_an_imported_table_changes_its_number(tmp_path, session):
     other = load_dataset(BAG).select(np.arange(10))
     other = dataclasses.replace(other, q=other.q + 1e-3, sha256="")
@@ -721,7 +739,7 @@ def test_a_sample_stays_excluded_if_an_imported_table_changes_its_number(tmp_pat
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("t.xlsx", {}, "t.xlsx: not a table by its suffix: expected .csv, .tsv, .txt"),
+        ("t.xlsx", {}, "t.xlsx: not a table by its suffix: expected .csv, .tsv, .txt, .json"),
         ("t.csv", {"position": {"columns": ["X", "Y", "W"], "unit": "mm"}}, "W"),
         ("t.csv", {"position": {"columns": ["X", "Y", "Z"]}}, "unit"),
     ],

@@ -927,6 +927,10 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
         assert answer.inner_text() == "the header states no unit: choose unit of x, y, z"
         assert Session(folder).state.step == "begin"
         choose("unit of x, y, z", "mm")
+        choose("unit of all joints", "deg")
+        second = page.get_by_label("unit of joint2", exact=True).locator("xpath=ancestor::label")
+        second.get_by_text("deg", exact=True).wait_for()
+        choose("unit of joint2", "as in the header")
         press_import()
         answer.wait_for(state="hidden")
         page.get_by_role("cell", name=f"import {count} samples of tracker.csv").wait_for()
@@ -937,6 +941,9 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
     session = Session(folder)
     np.testing.assert_allclose(session.samples.q, load_dataset(BAG).q, atol=1e-12)
     assert session.state.position_rms < 60e-6
+    [columns] = folder.rglob("*.columns.yaml")
+    joints = json.loads(columns.read_text())["joints"]
+    assert [one.get("unit") for one in joints.values()] == ["deg", None, "deg"]
 
 
 # ------------------------------------------------------------------ samples set aside
