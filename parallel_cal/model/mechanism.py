@@ -87,20 +87,8 @@ class Workspace:
     def around(
         cls, centre: np.ndarray, reach: float | np.ndarray, turns: Sequence[float] = ()
     ) -> Workspace:
-        """Return the box about a position of the level platform.
-
-        Parameters
-        ----------
-        centre : array (n,)
-            The controlled coordinates of the position, m.
-        reach : float or array (n,)
-            How far the box reaches from the centre to each side, m.
-        turns : sequence of float
-            How far the platform turns to each side, rad.
-
-        Returns
-        -------
-        Workspace
+        """Return the box that `reach` (m; one number, or one for each coordinate) spans to each
+        side of the position `centre` (m), and `turns` (rad) to each side of the level platform.
 
         Examples
         --------
