@@ -32,7 +32,6 @@ from parallel_cal.cli.arguments import (
 )
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.words import join_words
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -157,6 +156,8 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
         following = command_line(["diagnose", run.model], step.model, run.bags, run.data)
     is_command, reason = bool(written) or implausible, ""
     if (odd := step.result.outliers) is not None:
+        from parallel_cal.model.words import join_words
+
         them = "it" if len(odd.numbers) == 1 else "them"
         reason = f"check sample {join_words(odd.titles)}, and fit without {them} if wrong"
         following, is_command = _write_refit(step, run, odd.numbers)

@@ -185,7 +185,7 @@ class Sum:
     def _highest(self, beside: Evidence, one: Ranked) -> float:
         """The log posterior that one more cause has at most at the peak of its numbers."""
         lost = SCAN_LOSS if one.best.block.settings[one.best.setting] else 0.0
-        return beside.log_p + (one.log_p - beside.log_p) / (1 - lost)
+        return max(one.log_p, beside.log_p + (one.log_p - beside.log_p) / (1 - lost))
 
     def _at_peak(self, beside: Evidence, one: Ranked) -> Ranked:
         """One more cause, with its numbers refined between those that were scanned."""

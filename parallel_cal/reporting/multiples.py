@@ -115,8 +115,8 @@ def _rolling_traces(
         "line": {"width": 0},
     }
     lines = [
-        _mean(name, at, mean) | {"mode": "lines", "line": {"color": colour(name), "width": 2}}
-        for name, mean in zip(names, means.T, strict=True)
+        _mean(name, at, mean) | {"mode": "lines", "line": {"color": colour(name, k), "width": 2}}
+        for k, (name, mean) in enumerate(zip(names, means.T, strict=True))
     ]
     return [grey, *lines]
 
@@ -129,9 +129,9 @@ def _level_traces(
     apart = 0.5 * step * (np.arange(len(names)) / max(len(names) - 1, 1) - 0.5)
     bars = {"array": round_values(band), "color": QUIET, "thickness": 6, "width": 0}
     traces = []
-    for name, mean, shift in zip(names, means.T, apart, strict=True):
+    for k, (name, mean, shift) in enumerate(zip(names, means.T, apart, strict=True)):
         zero = _mean(name, at + shift, np.zeros(len(at))) | {"error_y": bars, "opacity": 0.45}
-        point, dot = {"size": 1, "color": QUIET}, {"size": 8, "color": colour(name)}
+        point, dot = {"size": 1, "color": QUIET}, {"size": 8, "color": colour(name, k)}
         traces += [
             zero | {"mode": "markers", "marker": point, "hoverinfo": "skip"},
             _mean(name, at + shift, mean) | {"mode": "markers", "marker": dot},
@@ -149,7 +149,7 @@ def _mean(name: str, at: np.ndarray, mean: np.ndarray) -> Spec:
     }
 
 
-def colour(name: str) -> str:
-    """Return the colour of a pose component, or of an equation by its number."""
+def colour(name: str, number: int) -> str:
+    """Return the colour of a pose component, or of what a sensor reads by its number."""
     palette = list(COMPONENTS.values())
-    return COMPONENTS.get(name) or palette[int(name.split()[-1]) % len(palette)]
+    return COMPONENTS.get(name) or palette[number % len(palette)]

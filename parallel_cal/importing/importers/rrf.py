@@ -135,9 +135,10 @@ def read_map(path: Path) -> tuple[Array, list[SourceLine], list[Dropped]]:
     each, and cells without a touch."""
     rows = read_lines(path)
     if not rows or not rows[0][1].startswith(HEAD):
-        if rows and (found := read_touch_table(path, MAX_HEIGHT_MM)):
-            return *found, []
         first = rows[0][1][:40] if rows else ""
+        is_map = first.startswith(HEAD.rpartition(" ")[0])  # of another version
+        if rows and not is_map and (found := read_touch_table(path, MAX_HEIGHT_MM)):
+            return *found, []
         expected = f"'{HEAD} ...', or a table with the columns x, y and z of touches in mm"
         raise SourceLine(path, 1).error("the first line", first, expected)
     if len(rows) < 3:
