@@ -119,8 +119,8 @@ def along_everything(report: Report, plot: Plot) -> str:
     if not shown + others:
         return paragraph("No recorded quantity varied.", "none")
     key = "".join(
-        f'<span class="key"><i style="background:{colour(name)}"></i>{escape(name)}</span>'
-        for name in report.residuals.components
+        f'<span class="key"><i style="background:{colour(name, k)}"></i>{escape(name)}</span>'
+        for k, name in enumerate(report.residuals.components)
     )
     note = f'{paragraph(PROFILE_NOTE, "note")}<p class="note">{key}</p>'
     parts = [SWITCH if report.residuals.found is not None else ""]

@@ -158,7 +158,7 @@ def view_residuals(residuals: contents.Residuals, striking: Sequence[ResidualPro
     return to_json_value(
         {
             "components": residuals.components,
-            "colours": [multiples.colour(name) for name in residuals.components],
+            "colours": [multiples.colour(name, k) for k, name in enumerate(residuals.components)],
             "sigmas": np.round(residuals.noise_units, 3),
             "along": along,
             "place": np.round(
