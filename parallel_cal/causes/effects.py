@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from functools import cached_property
 
 import numpy as np
@@ -58,10 +57,9 @@ def list_effect_blocks(
         each = [*each, *(size * one for size in larger for one in each)]
         settings = (1 + len(larger)) * settings
         if effect.alone and not known.get(name):
-            new = np.array(plain.table.names)[find_new_parameters(scene.model, plain)]
-            patterns = [f"{name}.{pattern}" for pattern in effect.alone]
-            apart = [any(fnmatchcase(one, pattern) for pattern in patterns) for one in new]
-            each, settings, tried = [*each, each[0][:, apart]], [*settings, {}], tried + 1
+            apart = plain.table.matching(f"{name}.{pattern}" for pattern in effect.alone)
+            new = find_new_parameters(scene.model, plain)
+            each, settings, tried = [*each, each[0][:, apart[new]]], [*settings, {}], tried + 1
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried)
         if block is not None:

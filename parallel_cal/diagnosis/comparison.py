@@ -58,7 +58,7 @@ class Comparison(ShownInNotebook):
     errors : Errors
         Errors of the model at each sample; `errors.summary` holds their means and rms.
     noise_floor : NoiseFloor
-        The errors that noise alone would cause; `noise` is its summary.
+        What the noise alone would show; `noise` is its summary.
     given : GivenModel
         The model as it was given.
     registration : Registration or None
@@ -78,7 +78,7 @@ class Comparison(ShownInNotebook):
 
     @property
     def noise(self) -> Summary:
-        """The errors that noise alone would cause."""
+        """The noise floor."""
         return self.noise_floor.summary
 
     @cached_property

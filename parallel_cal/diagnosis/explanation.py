@@ -219,7 +219,7 @@ class Causes:
         kinds: Collection[str] = (LAW, FIELD, DRIFT, KNOCK),
     ) -> Causes:
         """All causes, of which the effects are these `names`; `settings` holds those of an effect
-        that are known. Of what no effect describes, these `kinds` are there."""
+        that are known. Causes that no effect describes are of these `kinds`."""
         variance, nu = _find_noise(scene)
         scene, larger = widen(scene.in_units_of(variance), names)
         effects = list_effect_blocks(scene, names, settings)

@@ -15,11 +15,11 @@ from parallel_cal.base.errors import ParallelCalError, format_suggestion
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.recordings.bag import DATA_FILES, data_hash
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.samplefile import SAMPLES_SUFFIX
 from parallel_cal.recordings.table import read_table
 
 COLUMNS, TIME = ("robot", "model", "recording"), "time"
 TABLE = "rows.parquet"  # a folder that contains it holds a fleet's results
-SAMPLES = ".json"
 CASADI_LOCK = Lock()  # CasADi's expressions are not thread-safe, and a worker may have threads
 
 
@@ -133,7 +133,7 @@ def _list_folder_jobs(robots: Path) -> Iterator[Job]:
 def _is_recording(path: Path) -> bool:
     if path.is_dir():
         return any(file.suffix in (".yaml", *DATA_FILES) for file in path.iterdir())
-    return path.suffix in (*DATA_FILES, SAMPLES)
+    return path.suffix in (*DATA_FILES, SAMPLES_SUFFIX)
 
 
 def _list_table_jobs(robots: Path) -> Iterator[Job]:

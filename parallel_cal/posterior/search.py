@@ -202,13 +202,13 @@ class Sum:
                 rest = chosen[:k] + chosen[k + 1 :]
                 beside = self.evidence(rest, nu)
                 own = self.evidence((*rest, chosen[k]), nu).log_p
-                best = self.rank(beside, {one.block.name for one in rest})[0]
-                same = best.best.block.name == chosen[k].block.name
-                if same and own >= self.evidence((*rest, best.best), nu).log_p:
+                likeliest = self.rank(beside, {one.block.name for one in rest})[0]
+                same = likeliest.best.block.name == chosen[k].block.name
+                if same and own >= self.evidence((*rest, likeliest.best), nu).log_p:
                     continue  # its refined settings stay: no scanned one is better
-                if self._highest(beside, best) <= own:
+                if self._highest(beside, likeliest) <= own:
                     continue
-                peak = self._at_peak(beside, best).best
+                peak = self._at_peak(beside, likeliest).best
                 if self.evidence((*rest, peak), nu).log_p > own:
                     chosen = (*chosen[:k], peak, *chosen[k + 1 :])
             if before == [one.block.name for one in chosen]:

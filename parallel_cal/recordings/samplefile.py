@@ -32,6 +32,7 @@ PER_SAMPLE = (
     "count_pose",
     "pose_id",
 )
+SAMPLES_SUFFIX = ".json"
 MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # a million samples
 NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null if the device does not state it
 OPTIONAL_FIELDS = ("joint_units", "recordings", "excluded", "sides_from_order", "names")
@@ -40,8 +41,8 @@ MAX_ORTHOGONALITY_ERROR = 1e-6  # largest difference of an entry of R R^T from t
 
 def holds_samples(path: Path) -> bool:
     """Return whether a path is a sample file: by its suffix .json, else by its first byte."""
-    if path.suffix == ".json" or not path.is_file():
-        return path.suffix == ".json"
+    if path.suffix == SAMPLES_SUFFIX or not path.is_file():
+        return path.suffix == SAMPLES_SUFFIX
     with path.open("rb") as stream:
         return stream.read(1) == b"{"
 

@@ -139,14 +139,11 @@ def _state_missing(
 
 def _judge_by_revisits(judged: FitResult | Comparison) -> NoiseLevel:
     """Judge the noise by poses that were visited more than once."""
+    from parallel_cal.diagnosis.addition import see
     from parallel_cal.diagnosis.field import Field
     from parallel_cal.diagnosis.noise import NoiseLevel
-    from parallel_cal.posterior.scene import Scene
 
-    if isinstance(judged, FitResult):
-        scene = Scene.of(judged.model, judged.dataset, judged.observations, judged.free)
-    else:
-        scene = judged.scene
+    scene = see(judged) if isinstance(judged, FitResult) else judged.scene
     return NoiseLevel.of(scene, Field.of(scene), structured=False)
 
 

@@ -30,6 +30,7 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
 from parallel_cal.recordings.loading import MAP_SUFFIX, load_sessions
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.samplefile import SAMPLES_SUFFIX
 from parallel_cal.recordings.signals import Signals, signals
 from parallel_cal.recordings.simulate import with_noise
 from parallel_cal.recordings.table import TABLE_SUFFIXES, is_table
@@ -43,7 +44,6 @@ from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session changed in the meantime: look at it and try again"
 # The fields of a state that the next one takes over unless it changes them.
-SAMPLES_SUFFIX = ".json"
 PERSISTENT = ("excluded", "imported", "taken", "fitting")
 # The fields of a state that judge its model.
 JUDGED = (

@@ -162,7 +162,7 @@ class ColumnForm:
         return "; ".join(f"{column} is chosen for {names}" for column, names in shared.items())
 
     def document(self) -> dict[str, Any]:
-        """Return the column map. A quantity without a column is left out."""
+        """Return the column map, which names only quantities that have a column."""
         found: dict[str, Any] = {
             "joints": {
                 name: _without_empty(
@@ -238,12 +238,10 @@ class ColumnForm:
             which = "all joints" if len(names) == len(joints) else f"all joints that {kind}"
             clear = known or all(self._are_clear([guessed[name]]) for name in names)
             with self._row(which, not clear):
-                units = LENGTHS | ANGLES if si == "m" else ANGLES | LENGTHS
-                every = _pick_unit(f"unit of {which}", units)
-                every.on_value_change(partial(self._share, names, 1))
-                if si == "m":
-                    travel = _enter_travel(f"travel per turn of {which}")
-                    travel.on_value_change(partial(self._share, names, 2))
+                fields = _pick_motion(which, f"travel per turn of {which}", si)
+                for part, field in enumerate(fields, 1):
+                    if field is not None:
+                        field.on_value_change(partial(self._share, names, part))
 
     def _share(self, names: Sequence[str], part: int, event: Any) -> None:
         """Give joints the same unit (1) or travel per turn (2)."""
@@ -256,9 +254,7 @@ class ColumnForm:
         """Pick the column of a joint, its unit, and the travel per turn of a joint that slides."""
         with self._row(name, not (known or self._are_clear([guess]))):
             column = self._pick(f"column of {name}", guess)
-            units = LENGTHS | ANGLES if unit == "m" else ANGLES | LENGTHS
-            chosen = _pick_unit(f"unit of {name}", units)
-            travel = _enter_travel("travel per turn") if unit == "m" else None
+            chosen, travel = _pick_motion(name, "travel per turn", unit)
         return column, chosen, travel
 
     def _row(self, title: str, is_doubtful: bool = False) -> Any:
@@ -360,10 +356,14 @@ def _pick_unit(label: str, units: Sequence[str] | Mapping[str, float]) -> Any:
     return ui.select([IN_HEADER, *units], value=IN_HEADER, label=label).classes("w-36")
 
 
-def _enter_travel(label: str) -> Any:
-    travel = ui.input(label, placeholder="71.2 mm").classes("w-36")
+def _pick_motion(which: str, travel_label: str, si: str) -> tuple[Any, Any]:
+    """Pick the unit of what moves in m or rad, and, in m, the travel per turn (else None)."""
+    unit = _pick_unit(f"unit of {which}", LENGTHS | ANGLES if si == "m" else ANGLES | LENGTHS)
+    if si != "m":
+        return unit, None
+    travel = ui.input(travel_label, placeholder="71.2 mm").classes("w-36")
     travel.tooltip("only if the column contains the angle of a motor")
-    return travel
+    return unit, travel
 
 
 def _choose(fields: Sequence[Any], values: Sequence[str | None]) -> None:
