@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,13 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.campaign.path_guard import Guard, PathError
 from parallel_cal.diagnosis.catalogue import Candidate
+from parallel_cal.diagnosis.decision import DECIDED, Decision, Undecided, plan_decision
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.separate import (
     RivalPair,
     Separation,
     plan_refinement,
     plan_separation,
-    rank_rival_pairs,
 )
 from parallel_cal.diagnosis.thresholds import MIN_SEPARATION_SIGMAS
 from parallel_cal.model.shelf import load_effect
@@ -144,13 +144,23 @@ def next_targets(
     may = find_allowed_changes(so_far, changes)
     if untried := _plan_untried_conditions(found, guard, n, may, seed):
         return untried, ()
-    untold = list[str]()
-    for doubt in rank_rival_pairs(found.best, find_rivals(found), found.ranked):
-        plan = plan_distinguishing_poses(doubt, so_far, guard, n, left, may, seed)
-        if plan is not None:
-            return make_targets(plan, may, f"to distinguish {' from '.join(plan.separates)}"), ()
-        untold += [doubt.effect, doubt.rival]
-    return _plan_refinement(found, guard, n, may, seed), tuple(dict.fromkeys(untold))
+    untold: tuple[str, ...] = ()
+    if (doubt := Undecided.of(found.explanation)) is not None:
+        plan = plan_decision(
+            doubt,
+            so_far,
+            n,
+            left,
+            guard.is_measurable,
+            seed,
+            sorted({1.0, guard.reach}),
+            may.get("payload", tuple(so_far.get("payload", ())[-1:])),
+            guard.min_approach,
+        )
+        if plan is not None and plan.at_last <= DECIDED:
+            return _make_deciding_targets(doubt, plan, may), ()
+        untold = tuple(dict.fromkeys(name for one in doubt.sets for name in one.names))
+    return _plan_refinement(found, guard, n, may, seed), untold
 
 
 def find_allowed_changes(
@@ -244,6 +254,23 @@ def _plan_untried_conditions(
     return targets
 
 
+def _make_deciding_targets(
+    doubt: Undecided, plan: Decision, may: Mapping[str, tuple[float, float]]
+) -> list[Target]:
+    """Make targets of poses that decide between sets of effects, equal payloads together."""
+    names = doubt.model.conditions
+    under = [dict(zip(names, row, strict=True)) for row in plan.a.tolist()]
+    targets = [
+        replace(target, conditions={name: at[name] for name in names if name in may})
+        for target, at in zip(
+            _targets(plan.pool, f"to decide between {', '.join(map(str, doubt.sets))}", {}),
+            under,
+            strict=True,
+        )
+    ]
+    return sorted(targets, key=lambda target: target.conditions.get("payload", 0.0))
+
+
 def _plan_refinement(
     found: Diagnosis, guard: Guard, n: int, may: Mapping[str, tuple[float, float]], seed: int
 ) -> list[Target]:
@@ -277,20 +304,6 @@ def select_rarer(so_far: np.ndarray, both: tuple[float, float]) -> float:
     """Return the one of two values of a condition that is rarer among the samples (N,)."""
     low, high = both
     return high if 2 * np.count_nonzero(so_far > (low + high) / 2) < len(so_far) else low
-
-
-def find_rivals(found: Diagnosis) -> dict[str, list[str]]:
-    """Return for each effect found its rivals: effects that fit as well, and errors of the device
-    if they are in doubt."""
-    device = [
-        one.name
-        for one in found.ranked
-        if one.effect.of_device and not one.effect.needs and one.testable
-    ]
-    return {
-        name: [*found.swaps.get(name, ()), *(device if name in found.robot_or_device else ())]
-        for name in found.effects
-    }
 
 
 def find_addable_effects(found: Diagnosis) -> list[Candidate]:

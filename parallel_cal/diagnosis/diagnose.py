@@ -552,7 +552,7 @@ def _diagnose_trusted(
     base, names, report = search.fit(), setup.names, setup.report
     catalogue = _Catalogue(names, report)
     ranked = catalogue.rank(base)
-    against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted}
+    against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted, **found.absurd}
     report("judging the effects as add does", 0.7)
     confirmed = Confirmed.of(search, found.best, found.robot_or_device, find)
     best, robot_or_device = confirmed.best, confirmed.robot_or_device

@@ -7,7 +7,7 @@ sum is made again about the geometry found with them, unless the fit leaves what
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from types import MappingProxyType
@@ -60,6 +60,11 @@ class Explanation:
     first : tuple of str
         The effects without which only a geometry that no robot has describes the samples; the sums
         are about the model with them.
+    absurd : Mapping
+        Effects that would have been possible in the place of one that was found, with the reason
+        why no robot has them.
+    doubt : Doubt or None
+        The sets of effects that the sum leaves possible; None if samples were disturbed.
     """
 
     search: Search = field(repr=False)
@@ -70,6 +75,8 @@ class Explanation:
     wrong_signs: tuple[str, ...] = ()
     first: tuple[str, ...] = ()
     knocked: tuple[int, ...] = ()
+    absurd: Mapping[str, str] = field(default_factory=dict)
+    doubt: Doubt | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -89,10 +96,11 @@ class Explanation:
         # What a first cause leaves may still be imitated by a geometry that no robot has.
         scene = _scene_about(base, base, within_tolerances=True) if first else base.scene
         causes, known = Causes.of(scene, names), list[frozenset[Chosen]]()
+        absurd = dict[str, str]()
         posterior: Posterior | None = None
         while True:
             near = posterior.chosen if posterior else ()
-            posterior, described, more = causes.explain(refuted, near)
+            posterior, described, more = causes.explain({*refuted, *absurd}, near)
             if knocked := tuple(set_aside(posterior.knocked)):
                 return cls(search, posterior, described, base, refuted, knocked=knocked)
             chosen = (*first, *more)
@@ -104,8 +112,13 @@ class Explanation:
                 continue
             ended = not more or frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS
             if ended or causes.agree_with(tried, described, more):
+                found = cls(search, posterior, described, tried, refuted, tuple(wrong), base.names)
+                doubt = causes.list_possible(described, found.swaps)
+                if rivals := found.find_absurd_rivals(doubt):
+                    absurd |= rivals
+                    continue
                 best = search.fit_as_shown(*chosen)
-                return cls(search, posterior, described, best, refuted, tuple(wrong), base.names)
+                return replace(found, best=best, absurd=absurd, doubt=doubt)
             known.append(frozenset(chosen))
             causes = Causes.of(_scene_about(base, tried, bool(first)), names)
 
@@ -140,6 +153,19 @@ class Explanation:
                 named.append(other)
                 reached += effects[other]
         return {name: others for name, others in found.items() if others}
+
+    def find_absurd_rivals(self, doubt: Doubt) -> dict[str, str]:
+        """Rivals that contradict physics where a fit has them in the place of what was found, with
+        the reasons."""
+        found, own = dict[str, str](), {one.block.name for one in self.described.chosen}
+        for _, causes in doubt.sets[1:]:
+            effects = _as_effects(causes)
+            first = (one for one in self.best.chosen if one.name in self.first)
+            trial = self.search.fit_as_shown(*first, *effects, judged=False)
+            if trial.contradicts:
+                [rival] = {one.name for one in effects} - own
+                found[rival] = trial.reason
+        return found
 
     @property
     def robot_or_device(self) -> tuple[str, ...]:
@@ -198,6 +224,20 @@ class Explanation:
             together = 1.0 if name in self.first else self.posterior.of_any(effects)
             found.append({"effects": effects, "probability": together, "each": each})
         return found
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """The set of causes that was found, and those with a rival in the place of one of them, each
+    with its probability, its likeliest settings and sizes.
+
+    They are about the residuals of the `scene`, whose noise has the `variance`, in units of that
+    with which the samples were weighted.
+    """
+
+    scene: Scene
+    variance: float
+    sets: tuple[tuple[float, tuple[Choice, ...]], ...]
 
 
 @dataclass(frozen=True)
@@ -266,19 +306,29 @@ class Causes:
         drifts = any(one.block.kind == DRIFT for one in described.chosen)
 
         def is_named(one: Choice) -> bool:
-            block, effect = one.block, load_effect(one.block.name)
+            block = one.block
+            if block.kind != EFFECT:
+                return False
+            effect = load_effect(block.name)
             if drifts and "time" in effect.needs:
                 return False
             return block.name in likely or (block.tried == 1 and not effect.of_device)
 
-        chosen = [
-            Chosen(one.block.name, tuple(sorted(one.block.settings[one.setting].items())))
-            for one in described.chosen
-            if one.block.kind == EFFECT and is_named(one)
-        ]
-        # What a larger mechanism has must be there before effects act on it.
-        chosen.sort(key=lambda one: not load_effect(one.name).widens)
-        return posterior, described, tuple(chosen)
+        return posterior, described, _as_effects(filter(is_named, described.chosen))
+
+    def list_possible(self, found: Posterior, swaps: Mapping[str, Sequence[str]]) -> Doubt:
+        """The sets that a sum leaves possible, with these `swaps` of what it found."""
+        blocks = {block.name: block for block in self.sum.blocks}
+        sets = [(found.sets[0][1], found.chosen)]
+        for name, others in swaps.items():
+            rest = tuple(one for one in found.chosen if one.block.name != name)
+            beside = self.sum.evidence(rest, found.nu)
+            for other in others:
+                scanned = beside.rank(blocks[other].alone)[0].best
+                best = refine_setting(self.scene, beside, scanned)
+                sets.append((found.rivals[name][other], (*rest, best)))
+        likeliest = self.sum.evidence(found.chosen, found.nu)
+        return Doubt(self.scene, self.variance * likeliest.noise_variance, tuple(sets))
 
     def find_knocked_samples(self) -> tuple[int, ...]:
         """Find the samples that were disturbed alone, whatever else is missing."""
@@ -311,6 +361,17 @@ class Causes:
         now, stacks = possible.evidence(found.chosen, found.nu), Stack.of_alike(more)
         ranked = (one for stack in stacks for one in now.rank(stack))
         return stacks if any(one.log_p > now.log_p for one in ranked) else []
+
+
+def _as_effects(causes: Iterable[Choice]) -> tuple[Chosen, ...]:
+    """The effects among chosen causes, as a search fits them: what a larger mechanism has must be
+    there before effects act on it."""
+    chosen = (
+        Chosen(one.block.name, tuple(sorted(one.block.settings[one.setting].items())))
+        for one in causes
+        if one.block.kind == EFFECT
+    )
+    return tuple(sorted(chosen, key=lambda one: not load_effect(one.name).widens))
 
 
 def _find_noise(scene: Scene) -> tuple[float, float]:

@@ -95,6 +95,12 @@ class Evidence:
         """r' S^-1 r."""
         return self.squares - float(self._onto @ self._onto)
 
+    @property
+    def noise_variance(self) -> float:
+        """The scale of the posterior of sigma^2, a scaled inverse chi-square with nu + d degrees of
+        freedom (Gelman et al., section 3.2)."""
+        return (self.nu + self._squares) / (self.nu + self.dof)
+
     @cached_property
     def _log_det(self) -> float:
         return float(2 * np.log(np.diag(self._factor)).sum())

@@ -89,6 +89,8 @@ def test_a_rival_that_would_turn_a_joint_back_is_no_doubt():
     model, data = visited(403, ["backlash"], 20)
     found = diagnose(model, data)
     assert found.effects == ("backlash",)
+    assert not found.swaps
+    assert "the joint would turn back" in found.explanation.absurd["hysteresis"]
     rivals = {"backlash": ["hysteresis"]}
     widths = [
         doubt.model.value("hysteresis.leg1.width")

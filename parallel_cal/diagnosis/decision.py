@@ -1,0 +1,213 @@
+"""Plan poses that decide between the sets of effects that the samples leave possible."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.diagnosis.explanation import CREDIBLE, Doubt, Explanation
+from parallel_cal.diagnosis.separate import (
+    Allowed,
+    depends_on_time,
+    plan_conditions,
+    typical_noise,
+)
+from parallel_cal.diagnosis.thresholds import POOL
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.observations import conditions
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.planning.approach import find_least_travels
+from parallel_cal.planning.expectation import VAGUE_INFORMATION, white_blocks
+from parallel_cal.planning.posepool import Pool, make_pool
+from parallel_cal.planning.schedule import BLOCKS, Schedule
+from parallel_cal.posterior.blocks import EFFECT
+from parallel_cal.posterior.decision import Rival, choose_deciding_poses, compute_entropy
+from parallel_cal.posterior.evidence import SIZES, Choice
+
+DECIDED = compute_entropy(np.array([CREDIBLE, 1 - CREDIBLE]))  # nats
+
+
+@dataclass(frozen=True)
+class Supposed:
+    """What the samples tell if the robot has this set of effects.
+
+    `estimate` (k,) of the parameters of geometry and effects, in tolerances, and `factor` (k, m) L
+    of their covariance L L'; zero for the effects that it then has not.
+    """
+
+    names: tuple[str, ...]
+    p: float
+    estimate: np.ndarray = field(repr=False)
+    factor: np.ndarray = field(repr=False)
+
+    def __str__(self) -> str:
+        return " and ".join(self.names) or "none of them"
+
+
+@dataclass(frozen=True)
+class Undecided:
+    """Sets of effects among which the samples leave the choice, each refitted to them.
+
+    Attributes
+    ----------
+    model : Model
+        The model that the sum is about, with all these effects at zero.
+    free : array of bool (n_parameters,)
+        Its parameters that a fit would find.
+    measured : array of bool
+        What was measured of a pose.
+    variance : float
+        Of the noise, in units of the noise with which the samples were weighted.
+    sets : tuple of Supposed
+        The likeliest first.
+    """
+
+    model: Model = field(repr=False)
+    free: np.ndarray = field(repr=False)
+    measured: np.ndarray = field(repr=False)
+    variance: float
+    sets: tuple[Supposed, ...]
+
+    @classmethod
+    def of(cls, found: Explanation) -> Undecided | None:
+        """From the sum of a diagnosis, with the sizes and settings that are the likeliest there;
+        None if the samples decide, or leave only what no pose of this mechanism tells."""
+        if found.doubt is None:
+            return None
+        scene, variance = found.doubt.scene, found.doubt.variance
+        model, sets = _list_possible(found.doubt, scene.model)
+        if len(sets) < 2:
+            return None
+        observations = replace(scene.observations, a=conditions(model, scene.dataset))
+        model = replace(model, noise=typical_noise(model, observations))
+        held = {n for n, f in zip(scene.model.table.names, scene.free, strict=True) if not f}
+        free = np.array([n not in held for n in model.table.names]) & ~np.asarray(model.fixed)
+        system = Linearisation(model, observations, free, True)(model.values, scene.x)
+        J = (system.jacobian * model.table.tolerance[free]).reshape(-1, int(free.sum()))
+        r = system.residual.reshape(-1)
+        names = np.array(model.table.names)[free]
+        effects = {one.block.name for _, chosen in sets for one in chosen}
+        supposed = []
+        for p, chosen in sets:
+            size = {one.block.name: float(SIZES[one.size]) for one in chosen}
+            owner = [n.split(".")[0] if n.split(".")[0] in effects else "" for n in names]
+            has = np.array([not name or name in size for name in owner])
+            prior = np.array([size[o] ** -2 if o in size else VAGUE_INFORMATION for o in owner])
+            information = J[:, has].T @ J[:, has] / variance + np.diag(prior[has])
+            estimate, factor = np.zeros(len(names)), np.zeros((len(names), int(has.sum())))
+            estimate[has] = -np.linalg.solve(information, J[:, has].T @ r / variance)
+            factor[has] = np.linalg.inv(np.linalg.cholesky(information)).T
+            supposed.append(Supposed(tuple(sorted(size)), p, estimate, factor))
+        measured = np.asarray(observations.measured.any(axis=0))
+        return cls(model, free, measured, variance, tuple(supposed))
+
+    @property
+    def entropy(self) -> float:
+        """Of the posterior of these sets, in nats."""
+        p = np.array([one.p for one in self.sets])
+        return compute_entropy(p / p.sum())
+
+    @property
+    def least_travels(self) -> np.ndarray:
+        """How far each joint (nq,) must move after a reversal, so that all predictions hold."""
+        found = []
+        for one in self.sets:
+            values = self.model.values.copy()
+            values[self.free] += one.estimate * self.model.table.tolerance[self.free]
+            found.append(find_least_travels(self.model.with_values(values)))
+        return np.max(found, axis=0)
+
+    def predict(self, pool: Pool, a: np.ndarray) -> list[Rival]:
+        """What each set predicts of poses under conditions a (K, n_conditions)."""
+        J = white_blocks(self.model, self.free, self.measured, pool.poses, a)
+        J = J * self.model.table.tolerance[self.free] * self.variance**-0.5
+        return [Rival(one.p, -J @ one.estimate, J @ one.factor) for one in self.sets]
+
+
+def _list_possible(
+    doubt: Doubt, model: Model
+) -> tuple[Model, list[tuple[float, tuple[Choice, ...]]]]:
+    """The set of effects that was found, and those with a rival in the place of one of them, the
+    likeliest first with their probabilities; the model with all of these effects.
+
+    What is no effect (noise that drifts, a knocked sample, a field of the device) is left out: it
+    predicts nothing of further poses. So is a larger mechanism, which has other rows.
+    """
+    sets = list[tuple[float, tuple[Choice, ...]]]()
+    for p, causes in sorted(doubt.sets, key=lambda one: -one[0]):
+        chosen = tuple(one for one in causes if one.block.kind == EFFECT)
+        if any(load_effect(one.block.name).widens for one in chosen):
+            continue
+        has, wider = {effect.name for effect in model.effects}, model
+        try:
+            for one in chosen:
+                if one.block.name not in has:
+                    wider = wider.with_effect(one.block.name, one.block.settings[one.setting])
+        except ModelError:  # it contradicts an effect of a likelier set
+            continue
+        if wider.mechanism is model.mechanism:
+            model = wider
+            sets.append((p, chosen))
+    return model, sets
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Poses that decide, in the order in which each lowers the expected entropy most, under
+    conditions `a` (n, n_conditions); the upper bound of the entropy, in nats, that is expected
+    `after` them, and after as many such poses `at_last` as may be measured in all."""
+
+    pool: Pool
+    a: np.ndarray
+    after: float
+    at_last: float
+
+
+def plan_decision(
+    doubt: Undecided,
+    so_far: Mapping[str, np.ndarray],
+    n: int,
+    left: int,
+    allowed: Allowed,
+    seed: int = 0,
+    reaches: Sequence[float] = (1.0,),
+    payloads: Sequence[float] = (),
+    least: np.ndarray | float = 0.0,
+) -> Decision | None:
+    """Plan the fewest poses, at most n, after which the sum is expected to decide.
+
+    They are in the workspace if that is enough, else in the larger spaces of `reaches`. The last
+    approach to a pose has at least the length `least` (nq,). `left` poses may be measured in all.
+    None if no pose is reachable and `allowed`.
+    """
+    plans = list[Decision]()
+    for reach in reaches:
+        rng = np.random.default_rng(seed)
+        try:
+            pool = make_pool(
+                doubt.model,
+                POOL,
+                rng,
+                symmetric=False,
+                reach=reach,
+                least_travels=doubt.least_travels,
+            )
+        except FitError:
+            continue
+        pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))
+        if not len(pool.poses):
+            continue
+        pool = pool.lengthen_approach(doubt.model, least)
+        course = Schedule.after(so_far, -(-n // BLOCKS))
+        block = rng.integers(BLOCKS if depends_on_time(doubt.model) else 1, size=len(pool.poses))
+        a = plan_conditions(doubt.model, pool, so_far, course, block, rng, payloads)
+        chosen, entropy = choose_deciding_poses(doubt.predict(pool, a), max(n, left), DECIDED)
+        rows = np.array(chosen[:n])
+        plans.append(Decision(pool.rows(rows), a[rows], entropy[len(rows) - 1], entropy[-1]))
+        if plans[-1].after <= DECIDED:
+            break
+    return min(plans, key=lambda plan: (plan.after, plan.at_last), default=None)
