@@ -54,14 +54,16 @@ def list_effect_blocks(
         # About a fitted geometry that is plausible, no number of a drive is grossly wrong.
         if effect.mistaken > 1 and scene.sizes is not None:
             larger.append(effect.mistaken)
+        new = find_new_parameters(scene.model, plain)
+        usual = [size * np.ones(new.sum()) for size in (1.0, *larger) for _ in each]
         each = [*each, *(size * one for size in larger for one in each)]
         settings = (1 + len(larger)) * settings
         if effect.alone and not known.get(name):
-            apart = plain.table.matching(f"{name}.{pattern}" for pattern in effect.alone)
-            new = find_new_parameters(scene.model, plain)
-            each, settings, tried = [*each, each[0][:, apart[new]]], [*settings, {}], tried + 1
+            apart = plain.table.matching(f"{name}.{pattern}" for pattern in effect.alone)[new]
+            each, settings, tried = [*each, each[0][:, apart]], [*settings, {}], tried + 1
+            usual.append(apart.astype(float))
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
-        block = Block.of(scene, name, EFFECT, prior, each, settings, tried)
+        block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual)
         if block is not None:
             found.append(block)
     return found

@@ -26,7 +26,7 @@ from parallel_cal.planning.posepool import Pool, make_pool
 from parallel_cal.planning.schedule import BLOCKS, Schedule
 from parallel_cal.posterior.blocks import EFFECT
 from parallel_cal.posterior.decision import Rival, choose_deciding_poses, compute_entropy
-from parallel_cal.posterior.evidence import SIZES, Choice
+from parallel_cal.posterior.evidence import Choice
 
 DECIDED = compute_entropy(np.array([CREDIBLE, 1 - CREDIBLE]))  # nats
 
@@ -90,18 +90,30 @@ class Undecided:
         J = (system.jacobian * model.table.tolerance[free]).reshape(-1, int(free.sum()))
         r = system.residual.reshape(-1)
         names = np.array(model.table.names)[free]
-        effects = {one.block.name for _, chosen in sets for one in chosen}
+        groups = np.array([parameter.group for parameter in model.table])[free]
+        geometry = ~np.isin(groups, ("effect", "sensor"))
         supposed = []
         for p, chosen in sets:
-            size = {one.block.name: float(SIZES[one.size]) for one in chosen}
-            owner = [n.split(".")[0] if n.split(".")[0] in effects else "" for n in names]
-            has = np.array([not name or name in size for name in owner])
-            prior = np.array([size[o] ** -2 if o in size else VAGUE_INFORMATION for o in owner])
-            information = J[:, has].T @ J[:, has] / variance + np.diag(prior[has])
+            usual = np.full(len(names), VAGUE_INFORMATION**-0.5)
+            mean = np.zeros(len(names))
+            if scene.sizes is not None:  # the sum has the geometry within its tolerances
+                usual[geometry] = 1.0
+                away = (model.table.nominal - model.values) / model.table.tolerance
+                mean[geometry] = away[free][geometry]
+            for name in {one.block.name for _, some in sets for one in some}:
+                own = np.char.startswith(names, f"{name}.")
+                usual[own] = next(
+                    (one.usual * np.ones(own.sum()) for one in chosen if one.block.name == name),
+                    0.0,
+                )
+            has = usual > 0
+            information = J[:, has].T @ J[:, has] / variance + np.diag(usual[has] ** -2)
+            known = usual[has] ** -2 * mean[has] - J[:, has].T @ r / variance
             estimate, factor = np.zeros(len(names)), np.zeros((len(names), int(has.sum())))
-            estimate[has] = -np.linalg.solve(information, J[:, has].T @ r / variance)
+            estimate[has] = np.linalg.solve(information, known)
             factor[has] = np.linalg.inv(np.linalg.cholesky(information)).T
-            supposed.append(Supposed(tuple(sorted(size)), p, estimate, factor))
+            of = tuple(sorted(one.block.name for one in chosen))
+            supposed.append(Supposed(of, p, estimate, factor))
         measured = np.asarray(observations.measured.any(axis=0))
         return cls(model, free, measured, variance, tuple(supposed))
 

@@ -41,6 +41,9 @@ class Block:
         The numbers that each set of columns is for; empty for what has none.
     tried : int
         The number of settings that were scanned, which the evidence for one of them must pay for.
+    usual : tuple of array
+        For each setting of an effect, the usual size of each of its parameters, in tolerances; zero
+        for what that setting is without. One for all, if it is empty.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Block:
     turns: np.ndarray = field(repr=False)
     squares: np.ndarray = field(repr=False)
     onto: np.ndarray = field(repr=False)
+    usual: tuple[np.ndarray, ...] = field(default=(), repr=False)
 
     @classmethod
     def of(
@@ -63,6 +67,7 @@ class Block:
         columns: Iterable[np.ndarray],
         settings: Sequence[Mapping[str, float]] = (),
         tried: int | None = None,
+        usual: Sequence[np.ndarray] = (),
     ) -> Block | None:
         """Make a block of columns (n, k) for each setting; None if the geometry imitates it.
 
@@ -83,10 +88,8 @@ class Block:
         kept = largest > min(NEGLIGIBLE, largest.max() / 2)
         given = tuple(settings) or ({},) * len(B)
         squares = np.maximum(squares[:, kept], 0.0)
-        tried = tried or len(B)
-        return cls(
-            name, kind, log_prior, given, tried, B, turns[:, :, kept], squares, onto[:, kept]
-        )
+        tried, turns, onto = tried or len(B), turns[:, :, kept], onto[:, kept]
+        return cls(name, kind, log_prior, given, tried, B, turns, squares, onto, tuple(usual))
 
     @cached_property
     def _turned(self) -> dict[int, np.ndarray]:

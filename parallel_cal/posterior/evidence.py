@@ -40,6 +40,12 @@ class Choice:
         """Of this cause, this setting and this size."""
         return float(self.block.log_prior + LOG_WEIGHTS[self.size] - np.log(self.block.tried))
 
+    @property
+    def usual(self) -> np.ndarray | float:
+        """Standard deviations of the parameters of an effect, in tolerances."""
+        own = self.block.usual
+        return float(SIZES[self.size]) * (own[self.setting] if own else 1.0)
+
 
 @dataclass(frozen=True)
 class Ranked:

@@ -59,3 +59,15 @@ def test_the_waves_of_a_known_lead_are_one_set_of_columns():
     assert block.settings == ({"lead": 5e-3},)
     assert [one.shape[1] for one in block.columns] == [3 * len(LEGS)]
     assert np.all(block.squares[0] > 0)
+
+
+def test_each_set_of_columns_says_how_large_its_parameters_are():
+    """Of a spool a gain is 50 times as large as of a screw; a pitch that changes has no waves."""
+    names, usual = ["encoder_gain", "screw_pitch_error"], {}
+    for block in list_effect_blocks(scene_with_screws(), names, {}):
+        usual[block.name] = sorted({float(own.max()) for own in block.usual})
+        for setting, columns, own in zip(block.settings, block.columns, block.usual, strict=True):
+            if setting == {}:
+                expected = (block.columns[0] * own)[:, own > 0]
+                np.testing.assert_allclose(columns, expected, rtol=1e-9)
+    assert usual == {"encoder_gain": [1.0, 50.0], "screw_pitch_error": [1.0]}
