@@ -7,12 +7,7 @@ from dataclasses import dataclass, field
 
 from parallel_cal.base.progress import Progress
 from parallel_cal.campaign.path_guard import Guard
-from parallel_cal.campaign.targets import (
-    Target,
-    find_allowed_changes,
-    make_targets,
-    plan_distinguishing_poses,
-)
+from parallel_cal.campaign.targets import Target, find_allowed_changes, plan_deciding_targets
 from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.in_session import list_effects
 from parallel_cal.discovery.law import Discovery
@@ -81,14 +76,11 @@ def _plan(
     changes: Mapping[str, float],
     seed: int,
 ) -> tuple[Target, ...]:
-    """The targets that tell one law from another, of the pairs that poses can tell the one that is
-    hardest to tell; none if poses can tell no pair."""
+    """The targets that tell one law from another, of the first pair that poses can tell; none if
+    poses can tell no pair."""
     so_far = found.dataset.conditions
     may = find_allowed_changes(so_far, changes)
     for one in pair_laws(found, options):
-        plan = plan_distinguishing_poses(one.pair, so_far, guard, n, left, may, seed)
-        if plan is not None:
-            return tuple(
-                make_targets(plan, may, f"to distinguish the laws {one.law} and {one.rival}")
-            )
+        if targets := plan_deciding_targets(one.doubt, so_far, guard, n, left, may, seed):
+            return tuple(targets)
     return ()

@@ -13,13 +13,7 @@ from parallel_cal.campaign.path_guard import Guard, PathError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.decision import DECIDED, Decision, Undecided, plan_decision
 from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.diagnosis.separate import (
-    RivalPair,
-    Separation,
-    plan_refinement,
-    plan_separation,
-)
-from parallel_cal.diagnosis.thresholds import MIN_SEPARATION_SIGMAS
+from parallel_cal.diagnosis.separate import plan_refinement
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.approach import approaches
 from parallel_cal.planning.plan import equations_per_pose, plan
@@ -146,19 +140,8 @@ def next_targets(
         return untried, ()
     untold: tuple[str, ...] = ()
     if (doubt := Undecided.of(found.explanation)) is not None:
-        plan = plan_decision(
-            doubt,
-            so_far,
-            n,
-            left,
-            guard.is_measurable,
-            seed,
-            sorted({1.0, guard.reach}),
-            may.get("payload", tuple(so_far.get("payload", ())[-1:])),
-            guard.min_approach,
-        )
-        if plan is not None and plan.at_last <= DECIDED:
-            return _make_deciding_targets(doubt, plan, may), ()
+        if deciding := plan_deciding_targets(doubt, so_far, guard, n, left, may, seed):
+            return deciding, ()
         untold = tuple(dict.fromkeys(name for one in doubt.sets for name in one.names))
     return _plan_refinement(found, guard, n, may, seed), untold
 
@@ -175,43 +158,32 @@ def find_allowed_changes(
     }
 
 
-def plan_distinguishing_poses(
-    doubt: RivalPair,
+def plan_deciding_targets(
+    doubt: Undecided,
     so_far: Mapping[str, np.ndarray],
     guard: Guard,
     n: int,
     left: int,
     may: Mapping[str, tuple[float, float]],
     seed: int = 0,
-) -> Separation | None:
-    """Plan n poses that distinguish a pair, in the workspace or, if that does not suffice, in the
-    larger space of the guard's reach; None if not even the `left` poses distinguish them."""
-    payloads = may.get("payload", tuple(so_far.get("payload", ())[-1:]))
-    reaches = sorted({1.0, guard.reach})
-    plan, last = (
-        plan_separation(
-            doubt, so_far, seed, (size,), reaches, guard.is_measurable, payloads, guard.min_approach
-        )
-        for size in (n, left)
-    )
-    if plan is None or last is None or last.sigmas.then < MIN_SEPARATION_SIGMAS:
-        return None
-    return plan
-
-
-def make_targets(
-    plan: Separation, may: Mapping[str, tuple[float, float]], purpose: str
 ) -> list[Target]:
-    """Make targets of planned poses, under the conditions that a person may change."""
-    return [
-        Target(
-            tuple(pose.joints.tolist()),
-            tuple(tuple(stop.joints.tolist()) for stop in pose.by_way_of),
-            {k: v for k, v in pose.conditions.items() if k in may},
-            purpose,
-        )
-        for pose in plan.poses
-    ]
+    """Plan at most n targets that decide between sets of effects, in the workspace or, if that does
+    not suffice, in the larger space of the guard's reach; none if not even the `left` poses are
+    expected to decide."""
+    plan = plan_decision(
+        doubt,
+        so_far,
+        n,
+        left,
+        guard.is_measurable,
+        seed,
+        sorted({1.0, guard.reach}),
+        may.get("payload", tuple(so_far.get("payload", ())[-1:])),
+        guard.min_approach,
+    )
+    if plan is None or plan.at_last > DECIDED:
+        return []
+    return _make_deciding_targets(doubt, plan, may)
 
 
 def repeat_first_poses(dataset: Dataset, guard: Guard, n: int) -> list[Target]:

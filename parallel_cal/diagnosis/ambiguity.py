@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.entries import rivals_of
+from parallel_cal.diagnosis.next_measurement import DecidingPoses
 from parallel_cal.diagnosis.search import Chosen, Rank, Search, Trial, is_superfluous
-from parallel_cal.diagnosis.separate import Separation
-from parallel_cal.diagnosis.thresholds import MIN_SEPARATION_SIGMAS
 from parallel_cal.identification.registration import STATION_EFFECT
 from parallel_cal.model.model import Model
 
@@ -71,16 +70,16 @@ def find_ambiguous_effects(
     return tuple(found)
 
 
-def describe_ambiguities(found: Sequence[Ambiguity], plan: Separation | None) -> tuple[str, ...]:
+def describe_ambiguities(found: Sequence[Ambiguity], plan: DecidingPoses | None) -> tuple[str, ...]:
     """Describe each ambiguity, with what the planned poses would tell about it."""
     sentences = []
     for one in found:
         names, cure = " or ".join([one.effect, *one.names]), ""
-        if plan is not None and plan.separates in [(one.effect, name) for name in one.names]:
-            enough = plan.sigmas.then >= MIN_SEPARATION_SIGMAS
+        if plan is not None and {one.effect, *one.names}.issuperset(plan.between):
+            would = "tell" if plan.is_enough else "not yet tell"
             cure = (
-                f"; {len(plan.poses)} planned poses would {'tell' if enough else 'not yet tell'} "
-                f"(they separate the two by {plan.sigmas.then:.1f} sigmas)"
+                f"; {len(plan.poses)} planned poses would {would} (with a probability of "
+                f"{plan.certainty.then:.2f})"
             )
         sentences.append(
             f"{names}: the samples do not tell which of them the robot has, the model contains "

@@ -9,6 +9,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.diagnosis.explanation import CREDIBLE, Doubt, Explanation
+from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.separate import (
     Allowed,
     depends_on_time,
@@ -27,8 +28,11 @@ from parallel_cal.planning.schedule import BLOCKS, Schedule
 from parallel_cal.posterior.blocks import EFFECT
 from parallel_cal.posterior.decision import Rival, choose_deciding_poses, compute_entropy
 from parallel_cal.posterior.evidence import Choice
+from parallel_cal.posterior.scene import Scene
 
 DECIDED = compute_entropy(np.array([CREDIBLE, 1 - CREDIBLE]))  # nats
+# The entropy to expect of a session that nobody wants to repeat: chance may leave it higher.
+SURELY_DECIDED = compute_entropy(np.array([0.99, 0.01]))
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,26 @@ class Supposed:
     p: float
     estimate: np.ndarray = field(repr=False)
     factor: np.ndarray = field(repr=False)
+
+    @classmethod
+    def refit(
+        cls,
+        names: tuple[str, ...],
+        p: float,
+        J: np.ndarray,
+        r: np.ndarray,
+        nominal: np.ndarray,
+        usual: np.ndarray,
+    ) -> Supposed:
+        """From rows r (n,) with derivatives J (n, k), in units of the noise; the parameters (k,)
+        are `usual`ly as far from their `nominal` values, and have these where that is zero."""
+        has, factor = usual > 0, np.zeros((len(usual), np.count_nonzero(usual)))
+        estimate, known = np.where(has, 0.0, nominal), usual[has] ** -2
+        information = J[:, has].T @ J[:, has] + np.diag(known)
+        onto = known * nominal[has] - J[:, has].T @ (r + J @ estimate)
+        estimate[has] = np.linalg.solve(information, onto)
+        factor[has] = np.linalg.inv(np.linalg.cholesky(information)).T
+        return cls(names, p, estimate, factor)
 
     def __str__(self) -> str:
         return " and ".join(self.names) or "none of them"
@@ -78,42 +102,77 @@ class Undecided:
         None if the samples decide, or leave only what no pose of this mechanism tells."""
         if found.doubt is None:
             return None
-        scene, variance = found.doubt.scene, found.doubt.variance
+        scene = found.doubt.scene
         model, sets = _list_possible(found.doubt, scene.model)
-        if len(sets) < 2:
-            return None
-        observations = replace(scene.observations, a=conditions(model, scene.dataset))
-        model = replace(model, noise=typical_noise(model, observations))
         held = {n for n, f in zip(scene.model.table.names, scene.free, strict=True) if not f}
         free = np.array([n not in held for n in model.table.names]) & ~np.asarray(model.fixed)
+        each = [
+            (
+                tuple(sorted(one.block.name for one in chosen)),
+                p,
+                {c.block.name: c.usual for c in chosen},
+            )
+            for p, chosen in sets
+        ]
+        return cls._supposing(model, scene, free, found.doubt.variance, each)
+
+    @classmethod
+    def between(cls, best: Trial, sets: Mapping[str, Chosen]) -> Undecided | None:
+        """From the fit of a model and effects by name, one of which it has: the samples tell none
+        of them from another, however large it is. Those that contradict the model are left out;
+        None if only one is left."""
+        model, known = best.fitted.model, dict[str, Chosen]()
+        for words, one in sets.items():
+            has = {effect.name for effect in model.effects}
+            try:
+                wider = model if one.name in has else model.with_effect(one.name, one.settings)
+            except ModelError:
+                continue
+            if wider.mechanism is model.mechanism:
+                model, known[words] = wider, one
+        each = [
+            ((words,), 1 / len(known), {one.name: VAGUE_INFORMATION**-0.5})
+            for words, one in known.items()
+        ]
+        return cls._supposing(model, best.scene, ~np.asarray(model.fixed), 1.0, each)
+
+    @classmethod
+    def _supposing(
+        cls,
+        model: Model,
+        scene: Scene,
+        free: np.ndarray,
+        variance: float,
+        sets: Sequence[tuple[tuple[str, ...], float, Mapping[str, np.ndarray | float]]],
+    ) -> Undecided | None:
+        """Sets by their names, with their probabilities and the usual sizes of their effects, in
+        tolerances, refitted to the samples of a scene; None if only one is plausible."""
+        observations = replace(scene.observations, a=conditions(model, scene.dataset))
+        model = replace(model, noise=typical_noise(model, observations))
+        table, names = model.table, np.array(model.table.names)[free]
         system = Linearisation(model, observations, free, True)(model.values, scene.x)
-        J = (system.jacobian * model.table.tolerance[free]).reshape(-1, int(free.sum()))
+        J = (system.jacobian * table.tolerance[free]).reshape(-1, len(names))
         r = system.residual.reshape(-1)
-        names = np.array(model.table.names)[free]
-        groups = np.array([parameter.group for parameter in model.table])[free]
-        geometry = ~np.isin(groups, ("effect", "sensor"))
-        supposed = []
-        for p, chosen in sets:
+        in_doubt, away = (
+            {name for *_, sizes in sets for name in sizes},
+            table.nominal - model.values,
+        )
+        nominal = (away / table.tolerance)[free]
+        groups = np.array([parameter.group for parameter in table])[free]
+        geometry, supposed = ~np.isin(groups, ("effect", "sensor")), []
+        for words, p, sizes in sets:
             usual = np.full(len(names), VAGUE_INFORMATION**-0.5)
-            mean = np.zeros(len(names))
             if scene.sizes is not None:  # the sum has the geometry within its tolerances
                 usual[geometry] = 1.0
-                away = (model.table.nominal - model.values) / model.table.tolerance
-                mean[geometry] = away[free][geometry]
-            for name in {one.block.name for _, some in sets for one in some}:
-                own = np.char.startswith(names, f"{name}.")
-                usual[own] = next(
-                    (one.usual * np.ones(own.sum()) for one in chosen if one.block.name == name),
-                    0.0,
-                )
-            has = usual > 0
-            information = J[:, has].T @ J[:, has] / variance + np.diag(usual[has] ** -2)
-            known = usual[has] ** -2 * mean[has] - J[:, has].T @ r / variance
-            estimate, factor = np.zeros(len(names)), np.zeros((len(names), int(has.sum())))
-            estimate[has] = np.linalg.solve(information, known)
-            factor[has] = np.linalg.inv(np.linalg.cholesky(information)).T
-            of = tuple(sorted(one.block.name for one in chosen))
-            supposed.append(Supposed(of, p, estimate, factor))
+            for name in in_doubt:
+                usual[np.char.startswith(names, f"{name}.")] = sizes.get(name, 0.0)
+            one = Supposed.refit(words, p, J / variance**0.5, r / variance**0.5, nominal, usual)
+            values = model.values.copy()
+            values[free] += one.estimate * table.tolerance[free]
+            if not model.with_values(values).find_contradiction():
+                supposed.append(one)
+        if len(supposed) < 2:
+            return None
         measured = np.asarray(observations.measured.any(axis=0))
         return cls(model, free, measured, variance, tuple(supposed))
 
@@ -170,11 +229,14 @@ def _list_possible(
 @dataclass(frozen=True)
 class Decision:
     """Poses that decide, in the order in which each lowers the expected entropy most, under
-    conditions `a` (n, n_conditions); the upper bound of the entropy, in nats, that is expected
-    `after` them, and after as many such poses `at_last` as may be measured in all."""
+    conditions `a` (n, n_conditions), each in a `block` (n,) of the `course` of a session; the upper
+    bound of the entropy, in nats, that is expected `after` them, and after as many such poses
+    `at_last` as may be measured in all."""
 
     pool: Pool
     a: np.ndarray
+    block: np.ndarray
+    course: Schedule
     after: float
     at_last: float
 
@@ -189,8 +251,9 @@ def plan_decision(
     reaches: Sequence[float] = (1.0,),
     payloads: Sequence[float] = (),
     least: np.ndarray | float = 0.0,
+    enough: float = DECIDED,
 ) -> Decision | None:
-    """Plan the fewest poses, at most n, after which the sum is expected to decide.
+    """Plan the fewest poses, at most n, after which the expected entropy is `enough`.
 
     They are in the workspace if that is enough, else in the larger spaces of `reaches`. The last
     approach to a pose has at least the length `least` (nq,). `left` poses may be measured in all.
@@ -217,9 +280,10 @@ def plan_decision(
         course = Schedule.after(so_far, -(-n // BLOCKS))
         block = rng.integers(BLOCKS if depends_on_time(doubt.model) else 1, size=len(pool.poses))
         a = plan_conditions(doubt.model, pool, so_far, course, block, rng, payloads)
-        chosen, entropy = choose_deciding_poses(doubt.predict(pool, a), max(n, left), DECIDED)
+        chosen, entropy = choose_deciding_poses(doubt.predict(pool, a), max(n, left), enough)
         rows = np.array(chosen[:n])
-        plans.append(Decision(pool.rows(rows), a[rows], entropy[len(rows) - 1], entropy[-1]))
-        if plans[-1].after <= DECIDED:
+        after, at_last = entropy[len(rows) - 1], entropy[-1]
+        plans.append(Decision(pool.rows(rows), a[rows], block[rows], course, after, at_last))
+        if after <= enough:
             break
     return min(plans, key=lambda plan: (plan.after, plan.at_last), default=None)

@@ -33,6 +33,7 @@ from parallel_cal.diagnosis.entries import (
 from parallel_cal.diagnosis.explanation import Explanation
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
+from parallel_cal.diagnosis.next_measurement import NextMeasurement
 from parallel_cal.diagnosis.noise import NoiseLevel, advise_on_noise
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
@@ -51,7 +52,6 @@ from parallel_cal.diagnosis.search import (
     Settle,
     Trial,
 )
-from parallel_cal.diagnosis.separate import NextMeasurement
 from parallel_cal.diagnosis.thresholds import (
     MAX_MISTRUSTED_SHARE,
 )
@@ -573,7 +573,7 @@ def _diagnose_trusted(
     rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
     rivals |= {one.effect: one.names for one in ambiguous}
     replacements = {c.name: c for one in ambiguous for c in one.rivals}
-    measure_next = NextMeasurement(best, rivals, (*ranked, *replacements.values()))
+    measure_next = NextMeasurement(best, rivals, (*ranked, *replacements.values()), found)
     # What was refused at first, and chosen in the end, is not refused.
     named = {chosen.name for chosen in best.chosen}
     against = {name: words for name, words in against.items() if name not in named}

@@ -71,13 +71,9 @@ LEVELS = 5  # a quantity with so few values has one mean for each, not a rolling
 LENGTHS = (0.15, 0.25, 0.4, 0.7, 1.2)  # of the map's smoothness, in standard deviations of place
 ROUGHNESS = (0.1, 0.3, 1.0, 3.0)  # of the map: noise over smooth part, in variances
 MAX_MAP_POSES = 400  # poses of the map: its cost grows with their cube
-MAX_RIVAL_SETTINGS = 5  # of a rival's scan: a plan separates from the most similar one
-POOL = 300  # reachable poses to select from, to separate two effects
-PLAN_SIZES = (20, 40, 60)  # selected poses: as few as separate the effects
+POOL = 300  # reachable poses to select from, to decide between effects
+MAX_PLANNED_POSES = 60  # of which the fewest are selected that are expected to decide
 PLAN_REACHES = (1.0, 2.0)  # times the workspace: poses outside it may separate more
-TARGET_SEPARATION_SIGMAS = (
-    7.0  # sigmas: two more than MIN_SEPARATION_SIGMAS, as a margin for chance
-)
 
 # Several stations: a device whose smooth error leaves more than this share of an effect is excluded
 MIN_SHARE_BEYOND_DEVICE = 0.2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from parallel_cal.diagnosis.decision import Undecided
 from parallel_cal.diagnosis.search import Chosen, Trial
-from parallel_cal.diagnosis.separate import RivalPair
 from parallel_cal.discovery.effect_file import load_text
 from parallel_cal.discovery.law import Discovery
 from parallel_cal.identification.fit import fit
@@ -18,12 +18,11 @@ class LawPair:
 
     law: str
     rival: str
-    pair: RivalPair
+    doubt: Undecided
 
 
 def pair_laws(found: Discovery, options: FitOptions) -> list[LawPair]:
-    """Pair each proven law with each law that describes the data equally well; pairs that the
-    present samples separate least come first.
+    """Pair each proven law with each law that describes the data equally well.
 
     The model with the proven laws is fitted once, so that a plan lets the geometry adapt to the
     rival. Laws that contradict each other's parameters cannot be compared and are omitted.
@@ -39,7 +38,8 @@ def pair_laws(found: Discovery, options: FitOptions) -> list[LawPair]:
     pairs = []
     for law, name in zip(found.laws, names, strict=True):
         for rival, text in law.rivals.items():
-            pair = RivalPair.of(best, name, Chosen(load_text(text)))
-            if pair is not None:
-                pairs.append(LawPair(law.name, rival, pair))
-    return sorted(pairs, key=lambda one: one.pair.current_sigmas)
+            sets = {law.name: Chosen(name), rival: Chosen(load_text(text))}
+            doubt = Undecided.between(best, sets)
+            if doubt is not None:
+                pairs.append(LawPair(law.name, rival, doubt))
+    return pairs

@@ -81,6 +81,15 @@ def compute_entropy(p: np.ndarray) -> float:
     return float(-(p * np.log(p)).sum())
 
 
+def compute_certainty(entropy: float) -> float:
+    """Probability of the likeliest of two sets whose posterior has this entropy (nats)."""
+    from scipy.optimize import brentq
+
+    if entropy >= np.log(2):  # more than two sets
+        return float(np.exp(-entropy))
+    return float(brentq(lambda p: compute_entropy(np.array([p, 1 - p])) - entropy, 0.5, 1.0))
+
+
 def choose_deciding_poses(
     rivals: Sequence[Rival], most: int, enough: float
 ) -> tuple[list[int], list[float]]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.explanation import CREDIBLE
-from parallel_cal.diagnosis.separate import PlannedPose
+from parallel_cal.diagnosis.next_measurement import PlannedPose
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
 from parallel_cal.reporting import signatures
@@ -26,7 +26,6 @@ from parallel_cal.reporting.markup import (
 )
 from parallel_cal.reporting.readable import (
     format_percent,
-    number,
     value_unit,
     vector,
 )
@@ -107,11 +106,7 @@ def measure_next(report: Report) -> str:
     plan = following.plan
     if not plan:
         return items(advice) or paragraph("There are no effects left to distinguish.", "none")
-    now, then = (number(sigmas, 1.0, 2) for sigmas in (plan.sigmas.now, plan.sigmas.then))
-    words = (
-        f"{len(plan.poses)} planned poses would distinguish {' from '.join(plan.separates)} by "
-        f"{then} sigmas. The present data distinguish them by {now} sigmas."
-    )
+    words = sentence(str(plan))
     printed = ""
     if len(plan.poses) > MAX_PRINTED_POSES:
         printed = paragraph(

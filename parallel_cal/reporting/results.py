@@ -265,11 +265,7 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
     for advice in diagnosis.measure_next.advice:
         yield f"measure next: {advice}"
     if plan := diagnosis.measure_next.plan:
-        yield (
-            f"{len(plan.poses)} planned poses (--json) would separate "
-            f"{' from '.join(plan.separates)} "
-            f"by {plan.sigmas.then:.1f} sigmas; the present samples do by {plan.sigmas.now:.1f}"
-        )
+        yield f"{plan} (--json lists the poses)"
 
 
 def _describe_settings(diagnosis: Diagnosis, tested: Sequence[Candidate]) -> Iterator[str]:

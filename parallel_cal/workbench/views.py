@@ -302,7 +302,7 @@ def _make_report_view(found: Report) -> View:
     erring = find_erring_parts(diagnosis.effects, found.parameters)
     offered = diagnosis.addition or diagnosis.doubted
     residuals, shown = _select_shown(found.residuals, found.samples)
-    separation = diagnosis.measure_next.plan
+    plan = diagnosis.measure_next.plan
     testing_dof = diagnosis.noise.count_testing_dof(diagnosis.best.fitted.estimate.dof)
     return {
         "shown": shown,
@@ -339,13 +339,13 @@ def _make_report_view(found: Report) -> View:
         ],
         "parameters": as_rows(tables.parameter_table(identified)),
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
-        "separation": separation.csv(diagnosis.model) if separation else None,
-        "deciding_poses": len(separation.poses) if separation else 0,
+        "separation": plan.csv(diagnosis.model) if plan else None,
+        "deciding_poses": len(plan.poses) if plan else 0,
         "needs_poses": testing_dof < MIN_DOF,
         "advice": [
             words
             for words in diagnosis.measure_next.advice
-            if separation is None or words not in separation.how
+            if plan is None or words not in plan.how
         ],
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
         "find_law": diagnosis.leaves_an_error,

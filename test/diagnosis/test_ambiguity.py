@@ -28,10 +28,10 @@ def test_backlash_stays_ambiguous_after_it_was_added():
     assert {one.effect: one.names for one in found.ambiguous} == {"backlash": ["hysteresis"]}
     assert "backlash or hysteresis: the samples do not tell" in found.verdict.text
     plan = found.measure_next.plan
-    assert plan.separates == ("backlash", "hysteresis")
-    assert plan.sigmas.now < plan.sigmas.then
+    assert plan.between == ("backlash", "hysteresis")
+    assert plan.certainty.now < plan.certainty.then
     assert f"{len(plan.poses)} planned poses would" in found.verdict.text
-    assert f"they separate the two by {plan.sigmas.then:.1f} sigmas" in found.verdict.text
+    assert f"(with a probability of {plan.certainty.then:.2f})" in found.verdict.text
     hysteresis = next(e for e in found.entries if e.name == "hysteresis")
     assert "do not distinguish it from backlash of the model" in hysteresis.reason
     assert found.document()["ambiguous"] == {"backlash": ["hysteresis"]}

@@ -13,14 +13,14 @@ from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
 from shared_models import new_model
 
-import parallel_cal.diagnosis.separate as separate
+import parallel_cal.diagnosis.next_measurement as next_measurement
 import parallel_cal.identification.fit as fitting
 import parallel_cal.identification.given_model as given_model
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.progress import ignore_progress
 from parallel_cal.diagnosis.diagnose import diagnose, refit_with_equal_weights
+from parallel_cal.diagnosis.next_measurement import NextMeasurement
 from parallel_cal.diagnosis.search import Chosen, Search
-from parallel_cal.diagnosis.separate import NextMeasurement
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Noise
@@ -327,28 +327,34 @@ def test_poses_planned_to_distinguish_two_explanations_do_so():
     rivals = {"thermal_expansion": ["base_drift"]}
     plan = NextMeasurement(found.best, rivals, found.ranked).plan
     assert plan is not None
-    assert plan.sigmas.then > 2 * plan.sigmas.now
-    temperatures = {pose.conditions.get("temperature") for pose in plan.poses}
-    assert len(temperatures) > 1
+    assert plan.between == ("thermal_expansion", "base_drift")
+    assert plan.certainty.now == pytest.approx(0.5)
+    assert plan.is_enough
+    # Recorded was that it is the warmer, the later: the poses are not.
+    seen = found.dataset.conditions
+    line = np.polyfit(seen["time"], seen["temperature"], 1)
+    at = [(pose.conditions["time"], pose.conditions["temperature"]) for pose in plan.poses]
+    assert max(abs(np.polyval(line, time) - warm) for time, warm in at) > 4.0  # K
 
 
 def test_poses_are_planned_once_and_only_for_a_caller_who_asks(monkeypatch):
     """A plan takes as long as several fits."""
     planned = []
 
-    def counted(*arguments):
+    def counted(*arguments, **options):
         planned.append(arguments)
-        return plan_separation(*arguments)
+        return plan_decision(*arguments, **options)
 
-    plan_separation = separate.plan_separation
-    monkeypatch.setattr(separate, "plan_separation", counted)
+    plan_decision = next_measurement.plan_decision
+    monkeypatch.setattr(next_measurement, "plan_decision", counted)
     data = hiding([vf.KINDS["backlash"]], 1.0, 0)[0]
     found = diagnose(MODEL, data, effects=["backlash", "hysteresis"])
     assert found.swaps == {"backlash": ["hysteresis"]}
     assert not found.measure_next.record
     assert not planned
     plan = found.document()["measure_next"]["plan"]
-    assert plan["separates"] == ["backlash", "hysteresis"]
+    assert plan["between"] == ["backlash", "hysteresis"]
+    assert plan["certainty"]["now"] < plan["certainty"]["then"]
     assert found.measure_next.advice
     assert len(planned) == 1
 

@@ -8,13 +8,9 @@ from findings import travel
 from settling import DOUBTS, settled
 
 from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.diagnosis.decision import Undecided, plan_decision
 from parallel_cal.diagnosis.search import Chosen, Trial
-from parallel_cal.diagnosis.separate import (
-    RivalPair,
-    explain_separation,
-    list_effect_variants,
-    plan_separation,
-)
+from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Noise, new_model
@@ -78,29 +74,22 @@ def test_an_approach_takes_up_a_backlash_whichever_of_two_rivals_the_model_conta
     plans = {}
     for effect, rival in (("backlash", "hysteresis"), ("hysteresis", "backlash")):
         fitted = fit(model.with_effect(effect), data, hold_out=0)
-        pair = RivalPair.of(Trial((Chosen(effect),), fitted), effect, Chosen(rival))
-        plan = plan_separation(pair, data.conditions, sizes=(20,), reaches=(1.0,))
-        travels = [[abs(pose.conditions[f"travel.leg{i}"]) for i in LEGS] for pose in plan.poses]
-        assert (np.array(travels) > pair.least_travels).all()
-        plans[effect] = (pair, plan)
+        sets = {name: Chosen(name) for name in (effect, rival)}
+        doubt = Undecided.between(Trial((Chosen(effect),), fitted), sets)
+        plan = plan_decision(doubt, data.conditions, 20, 20, anywhere, enough=0.0)
+        travels = plan.a[:, [doubt.model.conditions.index(f"travel.leg{i}") for i in LEGS]]
+        assert (np.abs(travels) > doubt.least_travels).all()
+        plans[effect] = (doubt, plan)
     (first, one), (second, other) = plans.values()
     np.testing.assert_allclose(first.least_travels[1:4:2], [0.15e-3, 0.1e-3], atol=10e-6)
     np.testing.assert_allclose(second.least_travels, first.least_travels, atol=10e-6)
-    assert one.sigmas.then == pytest.approx(other.sigmas.then, rel=0.25)
+    assert first.entropy == second.entropy == pytest.approx(np.log(2))
+    assert one.after == pytest.approx(other.after, rel=0.25)
+    assert one.after < 0.7 * first.entropy
 
 
-def test_a_width_that_nobody_stated_is_varied_before_a_hysteresis_counts_as_separable():
-    model, data = measured_after_long_moves()
-    widths = []
-    for stated in (0.3e-3, 0.2e-3):
-        settings = {f"leg{i}.width": stated for i in LEGS}
-        fitted = fit(model.with_effect("hysteresis", settings), data, hold_out=0)
-        best = Trial((Chosen("hysteresis"),), fitted)
-        variants = list_effect_variants(best, "hysteresis")
-        assert variants[0] is best
-        widths.append([one.fitted.model.value("hysteresis.leg1.width") for one in variants])
-    # A lag of 0.075 mm cannot build up over 0.033 mm. A width of 0.2 mm is not one of the scan.
-    assert widths == [pytest.approx([0.3e-3, 0.1e-3]), [0.2e-3]]
+def anywhere(joints):
+    return np.ones(len(joints), bool)
 
 
 LEGS = range(1, 7)
