@@ -139,7 +139,7 @@ def next_targets(
     if untried := _plan_untried_conditions(found, guard, n, may, seed):
         return untried, ()
     untold: tuple[str, ...] = ()
-    if (doubt := Undecided.of(found.explanation)) is not None:
+    if (doubt := Undecided.of(found.explanation.doubt)) is not None:
         if deciding := plan_deciding_targets(doubt, so_far, guard, n, left, may, seed):
             return deciding, ()
         untold = tuple(dict.fromkeys(name for one in doubt.sets for name in one.names))

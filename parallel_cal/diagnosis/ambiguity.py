@@ -1,73 +1,75 @@
-"""Ask which effects of a model another effect would replace without loss.
+"""Ask which effects of a model another effect may be in place of.
 
 The residuals of a model that contains an effect cannot show its lookalikes. So each effect is
-removed, and the catalogue is tested as if the effect had still to be found.
+removed, and the sum is made about the geometry found with it, as if it had still to be found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.diagnosis.catalogue import Candidate
-from parallel_cal.diagnosis.entries import rivals_of
+from parallel_cal.diagnosis.explanation import Causes, Doubt, find_swaps
 from parallel_cal.diagnosis.next_measurement import DecidingPoses
-from parallel_cal.diagnosis.search import Chosen, Rank, Search, Trial, is_superfluous
+from parallel_cal.diagnosis.search import Trial
+from parallel_cal.identification.observations import conditions
 from parallel_cal.identification.registration import STATION_EFFECT
 from parallel_cal.model.model import Model
+from parallel_cal.posterior.scene import Scene
 
 
 @dataclass(frozen=True)
 class Ambiguity:
-    """An effect of the model, and the candidates that explain the samples as well in its place."""
+    """An effect of the model, the `names` of those that may be in its place, the likeliest first,
+    and what the sum leaves possible."""
 
     effect: str
-    rivals: tuple[Candidate, ...]
-
-    @property
-    def names(self) -> list[str]:
-        return [one.name for one in self.rivals]
+    names: list[str]
+    doubt: Doubt = field(repr=False)
 
 
-def find_ambiguous_effects(
-    model: Model,
-    best: Trial,
-    search_of: Callable[[Model], Search],
-    rank_with: Callable[[str], Rank],
-) -> tuple[Ambiguity, ...]:
-    """Find the effects of a model that other effects would replace without loss.
+def find_ambiguous_effects(best: Trial, names: Sequence[str]) -> tuple[Ambiguity, ...]:
+    """Find the effects of a model in whose place others may be.
 
     Parameters
     ----------
-    model : Model
     best : Trial
         The fit of the model with the effects that were found.
-    search_of : callable
-        Makes the search that refits a smaller model.
-    rank_with : callable
-        Makes the ranking of the catalogue together with an effect of the model.
+    names : sequence of str
+        The effects that are possible.
     """
     fitted, found = best.fitted, []
-    for effect in model.effects:
+    new = {one.name for one in best.chosen}
+    for effect in fitted.model.effects:
         own = fitted.model.table.matching([f"{effect.name}.*"])
-        if effect.name == STATION_EFFECT or not (own & fitted.free).any():
+        if effect.name in new or effect.name == STATION_EFFECT or not (own & fitted.free).any():
             continue  # it describes where devices stand, or its parameters were given
         try:
-            search = search_of(model.without_effect(effect.name))
+            smaller = fitted.model.without_effect(effect.name)
         except ModelError:  # another effect needs it
             continue
-        without = search.fit(*best.chosen)
-        if without.result is None or is_superfluous(without.result.estimate, fitted.estimate):
-            continue
-        unusual = any(size.effect == effect.name for size in fitted.unusual.values())
-        present = Trial((*best.chosen, Chosen(effect.name, unusual=unusual)), fitted)
-        ranked = rank_with(effect.name)(without)
-        rivals = {effect.name: rivals_of(present, ranked).get(effect.name, [])}
-        names = search.swaps(present, rivals).get(effect.name, [])
-        if names:
-            found.append(Ambiguity(effect.name, tuple(c for c in ranked if c.name in names)))
+        possible = [effect.name, *(name for name in names if name not in new)]
+        causes = Causes.of(_scene_without(best, smaller), possible, kinds=())
+        described = causes.explain()[1]
+        swaps = find_swaps(described)
+        groups = ([name, *others] for name, others in swaps.items())
+        rivals = next((group for group in groups if effect.name in group), [effect.name])
+        if len(rivals) > 1:
+            rivals.remove(effect.name)
+            found.append(Ambiguity(effect.name, rivals, causes.list_possible(described, swaps)))
     return tuple(found)
+
+
+def _scene_without(best: Trial, smaller: Model) -> Scene:
+    """The residuals of a fit without one of its effects, at the geometry found with it."""
+    fitted = best.fitted
+    free = dict(zip(fitted.model.table.names, fitted.free.tolist(), strict=True))
+    observations = replace(fitted.observations, a=conditions(smaller, fitted.dataset))
+    mask = np.array([free[name] for name in smaller.table.names])
+    return Scene.of(smaller, fitted.dataset, observations, mask, best.shared)
 
 
 def describe_ambiguities(found: Sequence[Ambiguity], plan: DecidingPoses | None) -> tuple[str, ...]:

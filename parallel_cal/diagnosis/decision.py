@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
-from parallel_cal.diagnosis.explanation import CREDIBLE, Doubt, Explanation
+from parallel_cal.diagnosis.explanation import CREDIBLE, Doubt
 from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.separate import (
     Allowed,
@@ -97,13 +97,13 @@ class Undecided:
     sets: tuple[Supposed, ...]
 
     @classmethod
-    def of(cls, found: Explanation) -> Undecided | None:
-        """From the sum of a diagnosis, with the sizes and settings that are the likeliest there;
-        None if the samples decide, or leave only what no pose of this mechanism tells."""
-        if found.doubt is None:
+    def of(cls, doubt: Doubt | None) -> Undecided | None:
+        """From a sum, with the sizes and settings that are the likeliest there; None if the samples
+        decide, or leave only what no pose of this mechanism tells."""
+        if doubt is None:
             return None
-        scene = found.doubt.scene
-        model, sets = _list_possible(found.doubt, scene.model)
+        scene = doubt.scene
+        model, sets = _list_possible(doubt, scene.model)
         held = {n for n, f in zip(scene.model.table.names, scene.free, strict=True) if not f}
         free = np.array([n not in held for n in model.table.names]) & ~np.asarray(model.fixed)
         each = [
@@ -114,7 +114,7 @@ class Undecided:
             )
             for p, chosen in sets
         ]
-        return cls._supposing(model, scene, free, found.doubt.variance, each)
+        return cls._supposing(model, scene, free, doubt.variance, each)
 
     @classmethod
     def between(cls, best: Trial, sets: Mapping[str, Chosen]) -> Undecided | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +49,6 @@ from parallel_cal.diagnosis.search import (
     Chosen,
     Refit,
     Search,
-    Settle,
     Trial,
 )
 from parallel_cal.diagnosis.thresholds import (
@@ -448,9 +447,6 @@ class _Setup:
         least_squares = replace(self.any_size, loss="linear")
         refit = refit_with_equal_weights(self.model, judged, least_squares)
 
-        def search_from(smaller: Model, settle: Settle | None = None) -> Search:
-            return Search(smaller, refit, self.report, self.options.usual_only, settle)
-
         def settle(chosen: Sequence[Chosen]) -> Model:
             effects = ((one.name, one.settings) for one in chosen)
             placed = self.given.placed_with(effects, kept, self.any_size)
@@ -468,7 +464,8 @@ class _Setup:
             samples, known = self.recorded.excluding(aside, why), (base, result)
             return find_addition(self.asked, text, samples, as_add, knocked=(), known=known)
 
-        search = search_from(self.model, settle if self.registration else None)
+        settled = settle if self.registration else None
+        search = Search(self.model, refit, self.report, self.options.usual_only, settled)
         self.report("identifying the geometry", 0.0)
         if not aside and (odd := self._find_contradicting(search.fit(judged=False))):
             return self.diagnose_without(odd[0], seen=odd[1])
@@ -479,7 +476,7 @@ class _Setup:
             if innocent := find_innocent_samples(others.knocked, more):
                 return self.diagnose_without(aside, why, seen, trusted | innocent)
             return others
-        found = _diagnose_trusted(self, kept, explanation.search, search_from, explanation, find)
+        found = _diagnose_trusted(self, kept, explanation.search, explanation, find)
         if seen is None:
             return found
         best = found.best.fitted.model
@@ -544,14 +541,12 @@ def _diagnose_trusted(
     setup: _Setup,
     dataset: Dataset,
     search: Search,
-    search_from: Callable[[Model], Search],
     found: Explanation,
     find: FindAddition,
 ) -> Diagnosis:
     """Diagnose samples of which none is set aside; `find` returns what `add` makes of effects."""
     base, names, report = search.fit(), setup.names, setup.report
-    catalogue = _Catalogue(names, report)
-    ranked = catalogue.rank(base)
+    ranked = _rank(base, names, report)
     against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted, **found.absurd}
     report("judging the effects as add does", 0.7)
     confirmed = Confirmed.of(search, found.best, found.robot_or_device, find)
@@ -563,17 +558,13 @@ def _diagnose_trusted(
     shape = NoiseShape.of(best.scene, residual_field)
     noise = NoiseLevel.of(best.scene, residual_field, structure.has_structure, shape.correlated)
     remaining = find_remaining_condition(best.scene, shape)
-    ambiguous = find_ambiguous_effects(
-        setup.model,
-        best,
-        search_from,
-        lambda effect: _Catalogue([effect, *names], report).rank,
-    )
+    ambiguous = find_ambiguous_effects(best, names)
     report("computing the weights of the observations", 0.8)
     rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
+    doubts = [found.doubt] if any(rivals.values()) and found.doubt else []
     rivals |= {one.effect: one.names for one in ambiguous}
-    replacements = {c.name: c for one in ambiguous for c in one.rivals}
-    measure_next = NextMeasurement(best, rivals, (*ranked, *replacements.values()), found)
+    doubts += [one.doubt for one in ambiguous]
+    measure_next = NextMeasurement(best, rivals, tuple(ranked), tuple(doubts))
     # What was refused at first, and chosen in the end, is not refused.
     named = {chosen.name for chosen in best.chosen}
     against = {name: words for name, words in against.items() if name not in named}
@@ -636,23 +627,11 @@ def _diagnose_trusted(
     )
 
 
-class _Catalogue:
-    """The effects to test with each trial, scored once."""
-
-    def __init__(self, names: list[str], report: Progress):
-        self._names, self._report = names, report
-        self._ranked: dict[frozenset[Chosen], list[Candidate]] = {}
-
-    def rank(self, trial: Trial) -> list[Candidate]:
-        """Candidates that the trial does not contain, best first, untestable ones last."""
-        key = frozenset(replace(c, unusual=False) for c in trial.chosen)
-        if key not in self._ranked:
-            taken, scored = {c.name for c in trial.chosen}, list[Candidate]()
-            # Special cases come before the effects that generalize them.
-            left = (name for name in self._names if name not in taken)
-            ordered = sorted(left, key=lambda name: bool(load_effect(name).generalizes))
-            for k, name in enumerate(ordered):
-                self._report(f"testing {name}", 0.1 + 0.3 * k / len(self._names))
-                scored.append(candidate(trial.scene, name, scored))
-            self._ranked[key] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
-        return self._ranked[key]
+def _rank(base: Trial, names: Sequence[str], report: Progress) -> list[Candidate]:
+    """The effects to test as candidates, best first, untestable ones last."""
+    scored = list[Candidate]()
+    # Special cases come before the effects that generalize them.
+    for k, name in enumerate(sorted(names, key=lambda name: bool(load_effect(name).generalizes))):
+        report(f"testing {name}", 0.1 + 0.3 * k / len(names))
+        scored.append(candidate(base.scene, name, scored))
+    return sorted(scored, key=lambda c: (not c.testable, c.log_p))

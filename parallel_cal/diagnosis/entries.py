@@ -172,13 +172,3 @@ def are_confused(one: Candidate, other: Candidate) -> bool:
     if one.scene is not other.scene:  # a larger model's rows are others
         return False
     return canonical_correlation(one.score.U, other.score.U) > MIN_CONFUSED_CORRELATION
-
-
-def rivals_of(best: Trial, ranked: Sequence[Candidate]) -> dict[str, list[Candidate]]:
-    """For each chosen effect, the candidates that the data cannot distinguish from it."""
-    taken = {c.name for c in best.chosen}
-    return {
-        one.name: [c for c in ranked if c.name not in taken and are_confused(one, c)]
-        for one in ranked
-        if one.name in taken
-    }

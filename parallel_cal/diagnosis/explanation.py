@@ -133,26 +133,8 @@ class Explanation:
 
     @cached_property
     def swaps(self) -> dict[str, list[str]]:
-        """For each effect found, the effects that may be in its place, the likeliest first: with it
-        they are the fewest that have CREDIBLE of the probability."""
-        found: dict[str, list[str]] = {}
-        for name, rivals in self.described.rivals.items():
-            if self.described.kinds[name] != EFFECT:
-                continue
-            effects = {
-                other: p
-                for other, p in rivals.items()
-                if self.described.kinds[other] == EFFECT
-                and name not in load_effect(other).generalizes
-            }
-            reached, named = self.described.sets[0][1], found.setdefault(name, [])
-            total = reached + sum(effects.values())
-            for other in sorted(effects, key=effects.__getitem__, reverse=True):
-                if reached >= CREDIBLE * total:
-                    break
-                named.append(other)
-                reached += effects[other]
-        return {name: others for name, others in found.items() if others}
+        """For each effect found, the effects that may be in its place, the likeliest first."""
+        return find_swaps(self.described)
 
     def find_absurd_rivals(self, doubt: Doubt) -> dict[str, str]:
         """Rivals that contradict physics where a fit has them in the place of what was found, with
@@ -372,6 +354,28 @@ def _as_effects(causes: Iterable[Choice]) -> tuple[Chosen, ...]:
         if one.block.kind == EFFECT
     )
     return tuple(sorted(chosen, key=lambda one: not load_effect(one.name).widens))
+
+
+def find_swaps(described: Posterior) -> dict[str, list[str]]:
+    """For each effect that a sum found, the effects that may be in its place, the likeliest first:
+    with it they are the fewest that have CREDIBLE of the probability."""
+    found: dict[str, list[str]] = {}
+    for name, rivals in described.rivals.items():
+        if described.kinds[name] != EFFECT:
+            continue
+        effects = {
+            other: p
+            for other, p in rivals.items()
+            if described.kinds[other] == EFFECT and name not in load_effect(other).generalizes
+        }
+        reached, named = described.sets[0][1], found.setdefault(name, [])
+        total = reached + sum(effects.values())
+        for other in sorted(effects, key=effects.__getitem__, reverse=True):
+            if reached >= CREDIBLE * total:
+                break
+            named.append(other)
+            reached += effects[other]
+    return {name: others for name, others in found.items() if others}
 
 
 def _find_noise(scene: Scene) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,9 +17,9 @@ from parallel_cal.diagnosis.decision import (
     Undecided,
     plan_decision,
 )
-from parallel_cal.diagnosis.explanation import CREDIBLE, Explanation
+from parallel_cal.diagnosis.explanation import CREDIBLE, Doubt
 from parallel_cal.diagnosis.region import TOUCH_A_BLOCK, is_touched_at_one_height
-from parallel_cal.diagnosis.search import Chosen, Trial
+from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.separate import (
     depends_on_temperature,
     depends_on_time,
@@ -145,7 +145,7 @@ class NextMeasurement:
     best: Trial
     rivals: Mapping[str, list[str]]
     ranked: tuple[Candidate, ...]
-    found: Explanation | None = None
+    doubts: tuple[Doubt, ...] = ()
     seed: int = 0
 
     @property
@@ -155,7 +155,8 @@ class NextMeasurement:
     @cached_property
     @single_threaded()
     def plan(self) -> DecidingPoses | None:
-        doubt = next(self._list_doubts(), None)
+        undecided = filter(None, map(Undecided.of, self.doubts))
+        doubt = next(undecided, None)
         if doubt is None:
             return None
         so_far, most = self.best.fitted.dataset.conditions, MAX_PLANNED_POSES
@@ -170,19 +171,6 @@ class NextMeasurement:
             enough=SURELY_DECIDED,
         )
         return None if plan is None else DecidingPoses.of(doubt, plan)
-
-    def _list_doubts(self) -> Iterator[Undecided]:
-        """What the sum leaves possible; else, for each effect, what may be in its place."""
-        named = {name: others for name, others in self.rivals.items() if others}
-        if named and self.found is not None:
-            doubt = Undecided.of(self.found)
-            if doubt is not None:
-                yield doubt
-        settings = {one.name: Chosen.of(one) for one in self.ranked}
-        for name, others in named.items():
-            each = {name: Chosen(name), **{other: settings[other] for other in others}}
-            if (doubt := Undecided.between(self.best, each)) is not None:
-                yield doubt
 
     @property
     def advice(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@ poses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -15,9 +15,7 @@ from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
-    MAX_SWAP_ERROR_RATIO,
     MIN_CHI2_FALL,
-    MIN_SEPARATION_SIGMAS,
 )
 from parallel_cal.identification.checks import (
     ContradictionError,
@@ -210,44 +208,6 @@ class Search:
             trial = _fail(chosen, error)
         self._known[key] = _judge(trial) if judged and trial.unjudged is not None else trial
         return replace(self._known[key], chosen=chosen)
-
-    def swaps(self, trial: Trial, rivals: Rivals) -> dict[str, list[str]]:
-        """For each chosen effect, the rivals that explain the data as well in its place."""
-        found: dict[str, list[str]] = {}
-        for name, rival, other in self._iterate_swaps(trial, rivals):
-            if is_as_good(trial, other):
-                found.setdefault(name, []).append(rival)
-        return found
-
-    def _iterate_swaps(self, trial: Trial, rivals: Rivals) -> Iterator[tuple[str, str, Trial]]:
-        """Iterate over chosen effects, their rivals, and the trials with the one in place of the
-        other. A rival may be larger than usual if the effect is, and then must be able to stand
-        alone: refits without a solution are slow."""
-        for i, one in enumerate(trial.chosen):
-            for other in rivals.get(one.name, []):
-                rival = replace(Chosen.of(other), unusual=one.unusual)
-                if rival.unusual and self.fit(rival).result is None:
-                    continue
-                swapped = (*trial.chosen[:i], rival, *trial.chosen[i + 1 :])
-                exchanged = self.fit(*swapped, judged=False)
-                # Nobody asks for the validation error of one that fits clearly worse.
-                if fits_as_well(trial, exchanged):
-                    exchanged = self.fit(*swapped)
-                yield one.name, other.name, exchanged
-
-
-def is_as_good(trial: Trial, other: Trial) -> bool:
-    """Whether other effects explain the data as well, within the validation error and chance."""
-    ratio = ratio_of(trial, other)
-    return ratio is not None and ratio < MAX_SWAP_ERROR_RATIO and fits_as_well(trial, other)
-
-
-def fits_as_well(trial: Trial, other: Trial) -> bool:
-    """Whether other effects explain the same samples as well, within chance."""
-    if trial.result is None or other.result is None:
-        return False
-    own, its = trial.result.estimate, other.result.estimate
-    return its.chi2 - own.chi2 < MIN_SEPARATION_SIGMAS**2 * max(own.chi2_per_dof, 1e-300)
 
 
 def ratio_of(before: Trial, after: Trial) -> float | None:

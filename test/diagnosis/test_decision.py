@@ -24,7 +24,7 @@ def found():
 
 @pytest.mark.wide
 def test_the_sets_are_those_of_the_diagnosis_and_each_is_refitted(found):
-    doubt = Undecided.of(found.explanation)
+    doubt = Undecided.of(found.explanation.doubt)
     assert [str(one) for one in doubt.sets] == ["backlash", "hysteresis"]
     assert found.swaps == {"backlash": ["hysteresis"]}
     of_sets = dict(found.explanation.described.sets)
@@ -42,7 +42,7 @@ def test_the_sets_are_those_of_the_diagnosis_and_each_is_refitted(found):
 
 @pytest.mark.wide
 def test_poses_are_allowed_and_lower_the_entropy_by_what_random_ones_do_not(found):
-    doubt, guard = Undecided.of(found.explanation), Guard.of(found.best.fitted.model)
+    doubt, guard = Undecided.of(found.explanation.doubt), Guard.of(found.best.fitted.model)
     plan = plan_decision(doubt, found.dataset.conditions, 20, 40, guard.is_measurable)
     assert plan.at_last < plan.after < 0.7 * doubt.entropy
     assert plan.at_last > DECIDED  # 40 such poses are not expected to decide

@@ -18,8 +18,8 @@ import parallel_cal.identification.fit as fitting
 import parallel_cal.identification.given_model as given_model
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.progress import ignore_progress
+from parallel_cal.diagnosis.decision import DECIDED, Undecided, plan_decision
 from parallel_cal.diagnosis.diagnose import diagnose, refit_with_equal_weights
-from parallel_cal.diagnosis.next_measurement import NextMeasurement
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
@@ -324,17 +324,16 @@ def test_temperature_that_rises_evenly_shows_growth_rather_than_drift():
 @pytest.mark.wide
 def test_poses_planned_to_distinguish_two_explanations_do_so():
     found = diagnose(MODEL, all_of_steel_warming_up())
-    rivals = {"thermal_expansion": ["base_drift"]}
-    plan = NextMeasurement(found.best, rivals, found.ranked).plan
-    assert plan is not None
-    assert plan.between == ("thermal_expansion", "base_drift")
-    assert plan.certainty.now == pytest.approx(0.5)
-    assert plan.is_enough
-    # Recorded was that it is the warmer, the later: the poses are not.
+    sets = {name: Chosen(name) for name in ("thermal_expansion", "base_drift")}
+    doubt = Undecided.between(found.best, sets)
     seen = found.dataset.conditions
+    plan = plan_decision(doubt, seen, 20, 20, lambda joints: np.ones(len(joints), bool))
+    assert doubt.entropy == pytest.approx(np.log(2))
+    assert plan.after <= DECIDED
+    # Recorded was that it is the warmer, the later: the poses are not.
     line = np.polyfit(seen["time"], seen["temperature"], 1)
-    at = [(pose.conditions["time"], pose.conditions["temperature"]) for pose in plan.poses]
-    assert max(abs(np.polyval(line, time) - warm) for time, warm in at) > 4.0  # K
+    time, warm = (plan.a[:, doubt.model.conditions.index(c)] for c in ("time", "temperature"))
+    assert np.abs(np.polyval(line, time) - warm).max() > 4.0  # K
 
 
 def test_poses_are_planned_once_and_only_for_a_caller_who_asks(monkeypatch):
