@@ -153,13 +153,10 @@ class Undecided:
         system = Linearisation(model, observations, free, True)(model.values, scene.x)
         J = (system.jacobian * table.tolerance[free]).reshape(-1, len(names))
         r = system.residual.reshape(-1)
-        in_doubt, away = (
-            {name for *_, sizes in sets for name in sizes},
-            table.nominal - model.values,
-        )
-        nominal = (away / table.tolerance)[free]
+        nominal = ((table.nominal - model.values) / table.tolerance)[free]
         groups = np.array([parameter.group for parameter in table])[free]
-        geometry, supposed = ~np.isin(groups, ("effect", "sensor")), []
+        geometry = ~np.isin(groups, ("effect", "sensor"))
+        in_doubt, supposed = {name for *_, sizes in sets for name in sizes}, list[Supposed]()
         for words, p, sizes in sets:
             usual = np.full(len(names), VAGUE_INFORMATION**-0.5)
             if scene.sizes is not None:  # the sum has the geometry within its tolerances

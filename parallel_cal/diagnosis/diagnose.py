@@ -116,7 +116,7 @@ class Diagnosis(ShownInNotebook):
     suspected : tuple of str
         Effects that are significant but not yet proven at held-out poses.
     ambiguous : tuple of Ambiguity
-        Effects of the model that other effects would replace without loss.
+        Effects of the model in whose place others may be.
     knocked : tuple of OddSample
         Single samples far from all others, as if somebody knocked the device. They are excluded
         from `base` and `best`.
