@@ -16,9 +16,9 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import append_lines, json_lines, open_locked
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.causes.effects import list_effects_to_test
+from parallel_cal.causes.effects import list_effect_blocks, list_effects_to_test, widen
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
-from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL
+from parallel_cal.diagnosis.explanation import CREDIBLE
 from parallel_cal.fleet.cluster import (
     KILLED_WORKER_REASON,
     check_extra_installed,
@@ -27,6 +27,8 @@ from parallel_cal.fleet.cluster import (
 )
 from parallel_cal.fleet.jobs import FleetError
 from parallel_cal.identification.fit import fit
+from parallel_cal.posterior.blocks import Block
+from parallel_cal.posterior.evidence import STATED, Evidence
 from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.study.session import (
     PlantedEffect,
@@ -42,7 +44,8 @@ HALF, MOSTLY = 0.5, 0.9
 SIZE_RATIO = 2**0.5  # of a size to the next smaller one
 MAX_SIZE = 5.0  # tolerances rms: larger sizes are not tried
 MIN_SIZE_RATIO = 1 / 8  # of the predicted size: smaller sizes are not tried
-DRAWS = 40  # of an effect's coefficients, for the prediction
+DRAWS = 40  # of an effect's coefficients and of noise, for the prediction
+LOG_SIZES, LOG_SIZE_STEP = (-8.0, 8.0), 0.01  # among which a predicted size is found
 CLEAN_RATIO = 2  # sessions without any effect, per session with an effect of one size
 MAX_SESSIONS_BYTES = 64 << 20  # a larger file of finished sessions is not read
 
@@ -70,7 +73,7 @@ class SizeResult:
 class Detectable:
     """The sizes of an effect (rms of its coefficients, in tolerances) that sessions detect.
 
-    `predicted` are the sizes that the F test of a diagnosis should detect in 50 % and 90 % of
+    `predicted` are the sizes that the evidence of a diagnosis should show in 50 % and 90 % of
     sessions, `tried` the results of simulated sessions. `reason` says why the effect cannot be
     detected; `applies` is False if the robot's model cannot have it. `number` is one of its
     coefficients, with unit and tolerance."""
@@ -186,11 +189,8 @@ def power(
                 f"available effects: {', '.join(names)}"
             )
         catalogue = [candidate(scene, name) for name in names]
-        level = EFFECT_SIGNIFICANCE_LEVEL / max(sum(one.testable for one in catalogue), 1)
         wanted = effects or names
-        all_of = [
-            predict_detectability(question, one, level) for one in catalogue if one.name in wanted
-        ]
+        all_of = [predict_detectability(question, one) for one in catalogue if one.name in wanted]
     clean = [PlantedEffect("", 0.0, k) for k in range(CLEAN_RATIO * sessions)]
     needed = dict.fromkeys(clean)
     with _Sessions(folder, question) as store, cluster(scheduler, workers) as client:
@@ -263,18 +263,18 @@ def _is_found(row: Row) -> bool:
     return any(row["effect"] in (name, *row["swaps"].get(name, ())) for name in named)
 
 
-def predict_detectability(question: Question, one: Candidate, level: float) -> Detectable:
-    """Predict the sizes at which an effect passes its F test at a level in 50 % and 90 % of
-    sessions.
+def predict_detectability(question: Question, one: Candidate) -> Detectable:
+    """Predict the sizes at which 50 % and 90 % of sessions give CREDIBLE probability to an effect,
+    as against no cause at all.
 
-    The statistic is noncentral F with lambda = |(1 - B B^T) J e|^2, for coefficients e whose
-    columns J are projected off the geometry's B."""
-    if not one.testable or one.scene is None or one.score is None:
+    For drawn coefficients e and noise z, the residual of size s is r = s (1 - B B^T) J e + z, with
+    the geometry's B; s is the least for which the evidence of the effect is enough."""
+    if not one.testable or one.scene is None:
         return Detectable(one.name, one.reason, applies=one.applies)
-    from scipy.stats import f, ncf
-
-    model, scene, q = model_of(question.model), one.scene, one.score.q
-    dof, noncentral = scene.dof - q, np.empty(DRAWS)
+    model, (scene, blocks) = model_of(question.model), widen(one.scene, [one.name])
+    [block] = blocks or list_effect_blocks(scene, [one.name], {})
+    rng = np.random.default_rng([question.seed, DRAWS])
+    sizes = np.empty(DRAWS)
     for k in range(DRAWS):
         planted = PlantedEffect(one.name, 1.0, k)
         has, new = plant_effect(model, planted, question.planned, planted.rng(question))
@@ -282,28 +282,38 @@ def predict_detectability(question: Question, one: Candidate, level: float) -> D
         without = has.with_values(np.where(new, has.table.nominal, has.values))
         J = scene.project_off_geometry(columns(without, scene, new))
         e = (has.values - has.table.nominal)[new] / has.table.tolerance[new]
-        noncentral[k] = float(np.sum((J @ e) ** 2))
-    limit = f.isf(level / one.tried, q, dof)
-
-    def share(log_size: float) -> float:
-        return float(np.mean(ncf.sf(limit, q, dof, noncentral * np.exp(2 * log_size))))
-
-    def size(of: float) -> float:
-        low, high = -8.0, 8.0
-        for _ in range(40):
-            middle = (low + high) / 2
-            low, high = (low, middle) if share(middle) >= of else (middle, high)
-        return float(np.exp(high))
-
+        noise = scene.project_off_geometry(rng.standard_normal(len(scene.residual)))
+        sizes[k] = _find_least_size(block, scene.dof, J @ e, noise)
     number = has.table[int(np.flatnonzero(new)[0])]
+    half, mostly = np.quantile(sizes, [HALF, MOSTLY])
     return Detectable(
         one.name,
         "",
         number.name.removeprefix(f"{one.name}."),
         number.unit,
         float(number.tolerance),
-        (size(HALF), size(MOSTLY)),
+        (float(half), float(mostly)),
     )
+
+
+def _find_least_size(block: Block, dof: int, signal: np.ndarray, noise: np.ndarray) -> float:
+    """The least size at which a signal (n,) in this noise is more likely than not this cause."""
+    each = [block.at(i) for i in range(len(block.columns))]
+    of_signal, of_noise = (np.array([r @ B for B in each]) for r in (signal, noise))
+
+    def is_named(log_size: float) -> bool:
+        size = np.exp(log_size)
+        r = size * signal + noise
+        nothing = Evidence(float(r @ r), dof, STATED)
+        seen = replace(block, onto=size * of_signal + of_noise)
+        [found] = nothing.rank(seen.alone)
+        return found.log_p - nothing.log_p > np.log(CREDIBLE / (1 - CREDIBLE))
+
+    low, high = LOG_SIZES
+    while high - low > LOG_SIZE_STEP:
+        middle = (low + high) / 2
+        low, high = (low, middle) if is_named(middle) else (middle, high)
+    return float(np.exp(high))
 
 
 class _Sessions:

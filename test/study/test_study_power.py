@@ -15,6 +15,7 @@ from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.explanation import Causes
 from parallel_cal.fleet.jobs import FleetError
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import dump_model, write_model
@@ -247,22 +248,24 @@ def test_what_fails_is_a_row_with_its_reason(question):
 
 
 @pytest.mark.wide
-def test_the_prediction_is_what_the_test_of_the_diagnosis_passes(question):
-    """Of 60 sessions with play of the predicted size half, or 90 %, are beyond chance; a share of
-    60 is uncertain by 0.07."""
-    level = 1e-3
+def test_the_prediction_is_what_the_evidence_of_a_diagnosis_shows(question):
+    """Of 60 sessions with play of the predicted size half, or 90 %, make it as probable as a
+    diagnosis asks; a share of 60 is uncertain by 0.07."""
     model = model_of(question.model)
 
-    def scored(one):
+    def see(one):
         found = fit(model, simulate_session(question, one)[0])
-        return candidate(
-            Scene.of(found.model, found.dataset, found.observations, found.free), "backlash"
-        )
+        return Scene.of(found.model, found.dataset, found.observations, found.free)
 
-    found = predict_detectability(question, scored(PlantedEffect("", 0.0, 0)), level)
+    def is_named(one):
+        made = Causes.of(see(one), ["backlash"], kinds=()).sum
+        nothing = made.evidence((), made.nu)
+        return made.rank(nothing)[0].log_p - nothing.log_p > np.log(0.95 / 0.05)
+
+    found = predict_detectability(question, candidate(see(PlantedEffect("", 0.0, 0)), "backlash"))
     for size, share in zip(found.predicted, (0.5, 0.9), strict=True):
-        passed = [scored(PlantedEffect("backlash", size, k)).p_value < level for k in range(60)]
-        assert np.mean(passed) == pytest.approx(share, abs=0.2)
+        named = [is_named(PlantedEffect("backlash", size, k)) for k in range(60)]
+        assert np.mean(named) == pytest.approx(share, abs=0.2)
 
 
 @pytest.mark.wide
