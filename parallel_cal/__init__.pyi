@@ -13,12 +13,12 @@ from .base.errors import ParallelCalError as ParallelCalError
 from .base.errors import SolveError as SolveError
 from .base.progress import Progress as Progress
 from .campaign.campaign import Campaign as Campaign
-from .campaign.campaign import CampaignError as CampaignError
-from .campaign.campaign import Goal as Goal
-from .campaign.campaign import Outcome as Outcome
 from .campaign.cell import Cell as Cell
 from .campaign.cell import CellError as CellError
 from .campaign.cell import Sample as Sample
+from .campaign.goal import Goal as Goal
+from .campaign.journal import CampaignError as CampaignError
+from .campaign.status import Outcome as Outcome
 from .campaign.trajectory import Trajectory as Trajectory
 from .diagnosis.comparison import Comparison as Comparison
 from .diagnosis.comparison import compare as compare

@@ -26,7 +26,8 @@ from itertools import cycle
 import numpy as np
 from campaign_cells import SimulatedCell, model_of
 
-from parallel_cal.campaign.campaign import Campaign, Goal
+from parallel_cal.campaign.campaign import Campaign
+from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.judging import judge_samples
 from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.campaign.targets import first_targets

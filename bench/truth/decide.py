@@ -14,7 +14,8 @@ import time
 from campaign_cells import SimulatedCell, model_of
 
 from bench.truth.campaign import MOST, told
-from parallel_cal.campaign.campaign import Campaign, Goal
+from parallel_cal.campaign.campaign import Campaign
+from parallel_cal.campaign.goal import Goal
 from parallel_cal.model.file.modelfile import dump_model
 from parallel_cal.virtual.kinds import KINDS
 

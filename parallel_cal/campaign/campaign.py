@@ -7,21 +7,17 @@ is opened again continues where it stopped, for whatever reason it stopped.
 
 from __future__ import annotations
 
-import json
 import logging
 import operator
-import os
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import ModelFileError, ParallelCalError
-from parallel_cal.base.files import MEGABYTE, append_lines, json_lines, open_locked
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.campaign.cell import (
     AbortRequested,
     Cell,
@@ -32,6 +28,13 @@ from parallel_cal.campaign.cell import (
     UnseenError,
 )
 from parallel_cal.campaign.checking import Checker, ImplausibleSample
+from parallel_cal.campaign.goal import Goal
+from parallel_cal.campaign.journal import (
+    CampaignError,
+    Journal,
+    is_same_but_for_limits,
+    with_limits_of,
+)
 from parallel_cal.campaign.judging import (
     Conclusion,
     Judgement,
@@ -41,159 +44,26 @@ from parallel_cal.campaign.judging import (
     select_primary_error,
 )
 from parallel_cal.campaign.path_guard import Guard, PathError
+from parallel_cal.campaign.status import Curve, CurvePoint, Outcome, Status
 from parallel_cal.campaign.targets import ADJUSTABLE_CONDITIONS, Target, first_targets
 from parallel_cal.campaign.trajectory import plan_trajectory
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import (
-    dump_model,
     model_hash,
     parse_model,
-    readable_text,
     replace_text,
 )
-from parallel_cal.model.mechanism import Box
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
-from parallel_cal.session import goals
 from parallel_cal.session.session import FILE as SESSION
 from parallel_cal.session.session import Session
 
 log = logging.getLogger(__name__)
 
-FILE = "campaign.jsonl"
-MAX_JOURNAL_BYTES = 512 * MEGABYTE  # a larger journal is not read
-LIMITS = ("joint_limits", "joint_rates", "keep_out")  # of the motion, in a mechanism
 BATCH = 8  # poses between two judgements
 MAX_UNSEEN_IN_A_ROW = 6  # targets; a camera that is covered sees none of them
-
-
-class CampaignError(ParallelCalError):
-    """A campaign cannot start or continue."""
-
-
-@dataclass(frozen=True)
-class Goal:
-    """The goal of a campaign and its limits.
-
-    Parameters
-    ----------
-    poses : int
-        Largest number of poses. Default 80.
-    minutes : float
-        Longest duration, min. Default 60.
-    enough : float
-        Stop at this rms position error at the validation poses, m (rad if no position is measured).
-        Default 0: stop at a verdict.
-    effects : tuple of str
-        Candidate effects. Default: all.
-    keep_out : tuple of Box
-        Boxes in {B} that the robot must not enter. Default: none.
-    payload : float
-        Mass that a person may be asked to attach, kg. Default 0: never.
-    warmer : float
-        By how much a person may be asked to warm the robot, K. Default 0: never.
-    reach : float
-        Size of the region for poses after the first diagnosis, as a multiple of the workspace.
-        Default 1.
-    hold_out : float
-        Share of the poses that is held out in each fit. Default 0.25.
-    joint_sigma : float, optional
-        Standard deviation of joint readings, rad or m. Default: as the model file states.
-    seed : int
-        Seed of the candidate poses. Default 0.
-
-    Examples
-    --------
-    >>> import parallel_cal as pc
-    >>> pc.Goal(poses=40, enough=20e-6).poses
-    40
-    """
-
-    poses: int = 80
-    minutes: float = 60.0
-    enough: float = 0.0
-    effects: tuple[str, ...] = ()
-    keep_out: tuple[Box, ...] = ()
-    payload: float = 0.0
-    warmer: float = 0.0
-    reach: float = 1.0
-    hold_out: float = 0.25
-    joint_sigma: float | None = None
-    seed: int = 0
-
-
-@dataclass(frozen=True)
-class CurvePoint:
-    """The rms error at the validation poses (m or rad) after `poses` samples, of the model with
-    these effects; after 0 samples it is the initial model's."""
-
-    poses: int
-    error: float
-    effects: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Curve:
-    """How the error at the validation poses fell, from the initial model on.
-
-    `kind` is position or orientation, `noise` the noise floor in m or rad (None: unknown)."""
-
-    points: tuple[CurvePoint, ...] = ()
-    kind: str = "position"
-    noise: float | None = None
-
-
-@dataclass(frozen=True)
-class Status:
-    """The state of a campaign (one of STATES), the reason for it, and the progress so far.
-
-    `unseen` is the rms error of the best model at the validation poses (m or rad, NaN while
-    unknown). `purpose` says why the present pose is measured (moving, sampling). `questions` are
-    the conditions that a person is asked to change (asking). `curve` is the error so far."""
-
-    state: str
-    reason: str
-    samples: int
-    unseen: float
-    verdict: str
-    purpose: str = ""
-    questions: tuple[Question, ...] = ()
-    curve: Curve = Curve()
-
-
-STATES = "planning moving sampling judging asking paused stopped done".split()
-
-
-@dataclass(frozen=True)
-class Outcome(goals.Outcome):
-    """Outcome of a campaign.
-
-    Attributes
-    ----------
-    success : bool
-        Whether the goal was reached.
-    message : str
-        Why the campaign ended.
-    text : str
-        The model file's text if the model is proven better; else empty.
-    model : Model or None
-        The model of `text`.
-    document : dict
-        The JSON document of `parallel-cal calibrate`.
-    ended : bool
-        False if the campaign was stopped and can continue.
-    samples : int
-        Number of samples.
-    curve : tuple of (int, float)
-        Number of samples and rms error at the validation poses (m or rad): first for the initial
-        model, then for each judgement.
-    """
-
-    ended: bool = True
-    samples: int = 0
-    curve: tuple[tuple[int, float], ...] = ()
 
 
 Tell = Callable[[Status], None]
@@ -245,54 +115,10 @@ class Campaign:
         self.folder, self.goal, self.control = Path(folder), goal, control or Control()
         self._cell, self._tell, self._work = cell, tell, work
         self.folder.mkdir(parents=True, exist_ok=True)
-        file = open_locked(self.folder / FILE)
-        if file is None:
-            raise CampaignError(f"{self.folder}: another process uses this campaign")
-        self._file = file
-        self.model = model
-        self.targets: list[Target] = []
-        self.samples: dict[int, Sample] = {}
-        self.left_out: dict[int, str] = {}
-        self.judgements: list[Judgement] = []
-        self.warnings: list[str] = []
+        self._journal = Journal(self.folder, model)
         self._unseen = 0  # targets in a row at which the device saw too little
-        self._ignored_targets: list[int] = []  # planned by judgements that are ignored
-        self._begun, self._before = time.monotonic(), 0.0
         self._status = Status("planning", "", 0, np.nan, "")
-        for entry in json_lines(self.folder / FILE, MAX_JOURNAL_BYTES):
-            self._before = entry.get("spent", self._before)
-            if "model" in entry:
-                self.model = entry["model"]
-            if "targets" in entry:
-                self.targets += map(Target.from_document, entry["targets"])
-            if "sample" in entry:
-                dataset = Dataset.from_document(entry["sample"], FILE)
-                self.samples[entry["target"]] = Sample(dataset, entry["start_ns"])
-            if "left_out" in entry:
-                self.left_out[entry["left_out"]] = entry["why"]
-            if "judged" in entry:
-                self._restore_judgement(entry["judged"])
-        if not is_same_but_for_limits(self.model, model):
-            os.close(file)
-            raise CampaignError(
-                f"{self.folder}: this folder holds the campaign of another model; "
-                "choose another folder"
-            )
-        if self.targets and model_hash(self.model) != model_hash(model):
-            self._write(model=model)
-        self.model = model
-        # A limit that the owner has changed holds for the models found before, too.
-        self.judgements = [
-            replace(one, text=with_limits_of(one.text, model)) for one in self.judgements
-        ]
-        if not self.targets:
-            self._write(begin=to_json_value(goal), model=model)
-        # The next judgement plans its own targets instead of those of ignored judgements.
-        why = "planned by a judgement that is ignored"
-        for k in self._ignored_targets:
-            if k not in self.samples and k not in self.left_out:
-                self.left_out[k] = why
-                self._write(left_out=k, why=why)
+        self._continue_with(model)
         last = next(reversed(self.samples), None)
         self._sent = None if last is None else np.array(self.targets[last].joints)
         if not (self.folder / SESSION).exists():
@@ -300,42 +126,40 @@ class Campaign:
             Session.new(self.folder, parse_model(model), [], fitting=fitting)
         self._use_model_of(self.judgements[-1] if self.judgements else None)
 
+    def _continue_with(self, model: str) -> None:
+        """Go on with this model file's text, in which the limits of the motion may have changed."""
+        journal = self._journal
+        self.model, before = model, journal.model
+        self.targets, self.samples, self.left_out = (
+            journal.targets,
+            journal.samples,
+            journal.left_out,
+        )
+        self.warnings = journal.warnings
+        if not is_same_but_for_limits(before, model):
+            journal.close()
+            raise CampaignError(
+                f"{self.folder}: this folder holds the campaign of another model; "
+                "choose another folder"
+            )
+        if self.targets and model_hash(before) != model_hash(model):
+            journal.write(model=model)
+        # A limit that the owner has changed holds for the models found before, too.
+        self.judgements = [
+            replace(one, text=with_limits_of(one.text, model)) for one in journal.judgements
+        ]
+        if not self.targets:
+            journal.write(begin=to_json_value(self.goal), model=model)
+        journal.leave_out_ignored_targets()
+
     def close(self) -> None:
         """Release the folder."""
-        os.close(self._file)
-
-    # ------------------------------------------------------------------ journal
-
-    def _write(self, **entry: Any) -> None:
-        """Append a line to the journal and flush it to the disk."""
-        entry["spent"] = self.spent
-        append_lines(self._file, [json.dumps(to_json_value(entry), allow_nan=False)])
-
-    def _restore_judgement(self, document: Mapping[str, Any]) -> None:
-        """Restore a judgement, or ignore it if its model cannot be read."""
-        file, first = self.folder / FILE, len(self.targets)
-        # Samples refer to targets by number, so the targets of an ignored judgement count, too.
-        self.targets += map(Target.from_document, document["targets"])
-        try:
-            judgement = Judgement.from_document(document)
-            parse_model(
-                judgement.text, f"{file}: model of the judgement of {judgement.samples} samples"
-            )
-        except ParallelCalError as error:
-            why = str(error)
-        except (KeyError, TypeError) as error:
-            why = f"{file}: a judgement lacks keys that this release expects: {error!r}"
-        else:
-            self.judgements.append(judgement)
-            self.warnings.clear()  # the samples of an ignored judgement have been judged again
-            return
-        self.warnings.append(f"{why}; this judgement is ignored and the samples are judged again")
-        self._ignored_targets += range(first, len(self.targets))
+        self._journal.close()
 
     @property
     def spent(self) -> float:
         """Seconds so far, including earlier runs of this campaign."""
-        return self._before + time.monotonic() - self._begun
+        return self._journal.spent
 
     @property
     def dataset(self) -> Dataset:
@@ -452,13 +276,13 @@ class Campaign:
             # From a forbidden pose no target can be reached: stop instead of skipping them all.
             if self._guard.describe_violation(self._get_current_joints()):
                 raise
-            self._skip(k, str(error))
+            self._journal.leave_out(k, str(error))
             return
         except UnseenError as error:
             self._unseen += 1
             if self._unseen >= MAX_UNSEEN_IN_A_ROW:
                 raise
-            self._skip(k, str(error))
+            self._journal.leave_out(k, str(error))
             return
         self._unseen = 0
         again = None
@@ -470,11 +294,6 @@ class Campaign:
         if again is not None:
             self._add_targets([again[0]])
             self._store_sample(len(self.targets) - 1, again[1])
-
-    def _skip(self, k: int, why: str) -> None:
-        """Leave a target out, and keep the reason."""
-        self.left_out[k] = why
-        self._write(left_out=k, why=why)
 
     def _take_sample(self, target: Target, why: str) -> Sample:
         """Move to a target and take its sample; PathError if no path is allowed."""
@@ -522,13 +341,13 @@ class Campaign:
         return target, sample
 
     def _add_targets(self, targets: list[Target]) -> None:
-        self._write(targets=targets)
+        self._journal.write(targets=targets)
         self.targets += targets
 
     def _store_sample(self, k: int, sample: Sample) -> None:
         if not self.samples:  # fail now if a fit will lack data, not after all the first poses
             observe(self._guard.model, sample.dataset, self.goal.joint_sigma)
-        self._write(target=k, sample=sample.dataset, start_ns=sample.start_ns)
+        self._journal.write(target=k, sample=sample.dataset, start_ns=sample.start_ns)
         self.samples[k] = sample
 
     def _request_conditions(self, conditions: Mapping[str, float]) -> None:
@@ -576,7 +395,7 @@ class Campaign:
                 options,
             )
             before, last = last, self._work(judge_samples, question, dataset, self.validation_mask)
-            self._write(judged=last)
+            self._journal.write(judged=last)
             self.targets += last.targets
             self.judgements.append(last)
             self._adopt_judgement(last)
@@ -649,7 +468,7 @@ class Campaign:
         found: Conclusion = self._work(conclude, self.folder, self.judgements)
         text = found.text and with_limits_of(found.text, self.model)
         outcome = replace(outcome, text=text, message=f"{outcome.message} ({found.words})")
-        self._write(end=outcome.message, success=outcome.success)
+        self._journal.write(end=outcome.message, success=outcome.success)
         self._report_status("done", outcome.message)
         return outcome
 
@@ -658,41 +477,6 @@ class Campaign:
         if not self.judgements:
             return Outcome(False, why, ended=False, samples=len(self.samples))
         return replace(self._outcome(False, why), ended=False)
-
-
-def find_unfinished(folder: Path, model: str) -> Path | None:
-    """Return the newest unfinished campaign of a folder that started with this model, or with one
-    that has other limits of the motion."""
-    for file in sorted(folder.glob(f"*/{FILE}"), reverse=True):
-        # An iterator: a campaign of another model is read no further than its model.
-        entries = json_lines(file, MAX_JOURNAL_BYTES)
-        began = next((e["model"] for e in entries if "model" in e), "")
-        if is_same_but_for_limits(began, model) and not any("end" in e for e in entries):
-            return file.parent
-    return None
-
-
-def is_same_but_for_limits(began: str, model: str) -> bool:
-    """Return whether two texts of model files differ at most in the limits of the motion, which the
-    owner of a robot may change during a campaign."""
-    if model_hash(began) == model_hash(model):
-        return True
-    try:
-        return model_hash(with_limits_of(began, model)) == model_hash(
-            dump_model(parse_model(model))
-        )
-    except ModelFileError:
-        return False
-
-
-def with_limits_of(text: str, other: str) -> str:
-    """Return the text of a model file with the limits of the motion (LIMITS) of another."""
-    model, limits = parse_model(text), parse_model(other).mechanism
-    if all(getattr(model.mechanism, name) == getattr(limits, name) for name in LIMITS):
-        return text
-    for name in LIMITS:
-        setattr(model.mechanism, name, getattr(limits, name))
-    return readable_text(model, "the model with the limits that were changed")
 
 
 def write_improved_model(outcome: Outcome, path: str) -> Outcome:

@@ -151,29 +151,18 @@ def judge_samples(
     doubt = tuple(
         dict.fromkeys([*(n for s in found.swaps.values() for n in s), *found.robot_or_device])
     )
+    guard = Guard.of(replace(best, covariance=None), question.keep_out, question.reach)
+    asked = question.more, question.left, question.changes, question.seed
     targets, untold = list[Target](), tuple[str, ...]()
     if question.more:
-        guard = Guard.of(replace(best, covariance=None), question.keep_out, question.reach)
-        targets, untold = next_targets(
-            found, guard, question.more, question.left, question.changes, question.seed
-        )
+        targets, untold = next_targets(found, guard, *asked)
     missing = describe_missing_evidence(found)
     verdict, summary, suspected = found.verdict.word, found.verdict.text, found.suspected
     if first := found.explanation.first:
         summary = f"no geometry fits the samples without {' and '.join(first)}; so: {summary}"
     laws = LawSearch("")
     if _needs_law(found, question, targets):
-        laws = search_laws(
-            model,
-            fitted,
-            question.options,
-            Guard.of(replace(best, covariance=None), question.keep_out, question.reach),
-            question.more,
-            question.left,
-            question.changes,
-            question.seed,
-            tell,
-        )
+        laws = search_laws(model, fitted, question.options, guard, *asked, tell)
         missing = laws.missing if laws.laws else (*missing, *laws.missing)
     if laws.laws:
         # An effect that is only suspected describes a part of what the law describes.

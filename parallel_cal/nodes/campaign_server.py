@@ -20,16 +20,11 @@ from std_srvs.srv import Trigger
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.worker import WorkCancelled, Worker
-from parallel_cal.campaign.campaign import (
-    Campaign,
-    Curve,
-    Goal,
-    Outcome,
-    Status,
-    find_unfinished,
-    write_improved_model,
-)
+from parallel_cal.campaign.campaign import Campaign, write_improved_model
 from parallel_cal.campaign.cell import Control, Sample
+from parallel_cal.campaign.goal import Goal
+from parallel_cal.campaign.journal import find_unfinished
+from parallel_cal.campaign.status import Curve, Outcome, Status
 from parallel_cal.model.file.modelfile import model_text, parse_model
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model

@@ -10,8 +10,9 @@ from campaign_cells import CameraCell, model_of
 from scipy.optimize import least_squares
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.campaign.campaign import MAX_UNSEEN_IN_A_ROW, Campaign, Goal
+from parallel_cal.campaign.campaign import MAX_UNSEEN_IN_A_ROW, Campaign
 from parallel_cal.campaign.cell import UnseenError
+from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.placement import place_sensors

@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from waits import children, wait_until
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.campaign.campaign import FILE
+from parallel_cal.campaign.journal import FILE
 from parallel_cal.cli.calibrating import calibrate
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes.calibrate import Calibration
