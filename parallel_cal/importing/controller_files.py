@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.model.machine_class import DEFAULT_CLASS
@@ -14,20 +14,34 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 from parallel_cal.recordings.dataset import Dataset
 
+if TYPE_CHECKING:
+    from parallel_cal.importing.deltas import Delta
+
 SHELF = "importing.importers"
+NO_SAMPLES = (
+    "the files of {} hold no samples. Touches of the bed: write X, Y and Z (mm) of each into a "
+    "table, `import touches TABLE.csv CONFIGURATION`. Poses that a device measured: `import table` "
+    "or `import-csv`"
+)
 
 
 @dataclass(frozen=True)
 class ConfiguredRobot:
-    """A machine as its controller is configured, and what the configuration does not state."""
+    """A machine as its controller is configured, and what the configuration does not state.
+
+    `formula` is how the controller computes its motors, if it is a Delta.
+    """
 
     model: Model
     remarks: tuple[str, ...] = ()
+    formula: Delta | None = None
 
 
 def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
     """Read the samples in a controller's files; DatasetError names file, line and field."""
-    read = load_module(SHELF, kind, DatasetError).samples
+    read = getattr(load_module(SHELF, kind, DatasetError), "samples", None)
+    if read is None:
+        raise DatasetError(NO_SAMPLES.format(kind))
     takes = [str(p.replace(annotation=p.empty)) for p in [*signature(read).parameters.values()][1:]]
     try:
         signature(read).bind(paths, **options)
