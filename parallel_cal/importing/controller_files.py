@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.model.machine_class import DEFAULT_CLASS
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 from parallel_cal.recordings.dataset import Dataset
-
-if TYPE_CHECKING:
-    from parallel_cal.importing.deltas import Delta
 
 SHELF = "importing.importers"
 NO_SAMPLES = (
@@ -29,12 +26,13 @@ NO_SAMPLES = (
 class ConfiguredRobot:
     """A machine as its controller is configured, and what the configuration does not state.
 
-    `formula` is how the controller computes its motors, if it is a Delta.
+    `formula` is the Delta (importing/deltas.py) as which the controller computes it; None if it is
+    another machine.
     """
 
     model: Model
     remarks: tuple[str, ...] = ()
-    formula: Delta | None = None
+    formula: Any = None
 
 
 def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
@@ -55,7 +53,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
     The file's suffix identifies the controller. An importer that has `recognizes` asks the file's
     text, too, and comes before those that have not. The model has the `MACHINE_CLASS` of the
-    importer.
+    importer, and its history names controller and files.
     """
     modules = {name: load_module(SHELF, name) for name in list_plugins(SHELF)}
     kinds = {n: m.CONFIGURATION for n, m in modules.items() if hasattr(m, "CONFIGURATION")}
@@ -64,7 +62,9 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         if paths[0].suffix in kinds[name] and recognizes(paths[0]):
             found: ConfiguredRobot = modules[name].configured(paths)
             machine_class = getattr(modules[name], "MACHINE_CLASS", DEFAULT_CLASS)
-            return replace(found, model=replace(found.model, machine_class=machine_class))
+            origin = {"step": "new", "controller": name, "files": [str(path) for path in paths]}
+            model = replace(found.model, machine_class=machine_class, history=(origin,))
+            return replace(found, model=model)
     endings = {n: " or ".join(end or "no suffix" for end in ends) for n, ends in kinds.items()}
     known = "; ".join(f"{ending} ({name})" for name, ending in endings.items())
     raise DatasetError(

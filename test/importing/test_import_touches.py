@@ -108,3 +108,9 @@ def test_a_bed_far_below_the_motors_becomes_flat_by_the_firmwares_own_formula(
     assert done.heights.after < 8e-6
     assert np.std(z) > 0.1
     assert np.std(changed) < 8e-3
+
+
+def test_the_history_of_a_model_names_its_controller_and_files(tmp_path):
+    path = written(tmp_path, [], REPORT, "printer.log")[1]
+    [origin] = configured([path]).model.history
+    assert origin == {"step": "new", "controller": "repetier", "files": [str(path)]}

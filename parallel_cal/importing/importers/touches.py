@@ -16,7 +16,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing.controller_files import configured
-from parallel_cal.importing.deltas import Towers
+from parallel_cal.importing.deltas import Delta, Towers
 from parallel_cal.importing.touch_samples import (
     make_printed_ends,
     make_touch_samples,
@@ -45,7 +45,8 @@ def samples(
     if not tables or not files:
         raise DatasetError(f"{', '.join(map(str, paths))}: {EXPECTED}")
     robot = configured(files)
-    delta, model = robot.formula, robot.model
+    delta: Delta | None = robot.formula
+    model = robot.model
     if delta is None:
         raise DatasetError(f"{files[0]}: a {model.mechanism.name}: {NO_DELTA}")
     found = [read_touch_table(path, plane_mm=None) for path in tables]
