@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.unknown_laws import LOG_PRIOR
 from parallel_cal.identification.observations import conditions
-from parallel_cal.model.effect import parse_part
+from parallel_cal.model.effect import Effect, parse_part
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
@@ -22,6 +22,10 @@ from parallel_cal.recordings.dataset import Dataset
 MIN_SCANNED = 3  # values of a setting, to refine it between them
 # Places, drivers and forms among which `discover` finds a law: what was found must pay for them.
 FORMS = 24_000
+# Shares of the distance of two scanned values: to which the best value between them is sought, and
+# the last digit that it keeps.
+REFINED_TO, KEPT_DIGITS = 1e-3, 1e-4
+DIGITS = 6  # of a scanned number, which a person copies
 EQUAL_EVIDENCE = 4.5  # of the logarithm, three sigmas: two settings fit as well
 
 
@@ -43,7 +47,7 @@ def list_effect_blocks(
             continue
         if plain.mechanism is not mechanism or find_missing_conditions(plain, scene.dataset):
             continue
-        settings = list(effect.scan(mechanism, collect_recorded_values(scene.dataset)))
+        settings = scan_settings(scene, effect)
         if not settings:
             continue
         tried = len(settings)
@@ -138,10 +142,13 @@ class Scan:
             lambda value: -self.weigh({**start, key: value}),
             bounds=(low, high),
             method="bounded",
-            options={"xatol": 1e-3 * (high - low)},
+            options={"xatol": REFINED_TO * (high - low)},
         )
-        found, before = {**start, key: float(optimum.x)}, self.weigh(start)
-        return (-float(optimum.fun), found) if -optimum.fun > before else (before, dict(start))
+        # Further digits are not known, and a person copies the number.
+        decimals = -int(np.floor(np.log10(KEPT_DIGITS * (high - low))))
+        found = {**start, key: round(float(optimum.x), decimals)}
+        after, before = self.weigh(found), self.weigh(start)
+        return (after, found) if after > before else (before, dict(start))
 
     def list_refined(self, setting: Mapping[str, float]) -> dict[str, list[float]]:
         """The continuous numbers of a scanned setting, with their scanned values."""
@@ -184,6 +191,14 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     if best.block.kind != EFFECT or not best.block.settings[best.setting]:
         return best
     return Scan(scene, beside, best.block).refine(best)
+
+
+def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
+    """The settings of an effect that its `scan` proposes, rounded where a number is continuous."""
+    found = effect.scan(scene.model.mechanism, collect_recorded_values(scene.dataset))
+    if not effect.refines:
+        return list(found)
+    return [{key: float(f"{value:.{DIGITS}g}") for key, value in one.items()} for one in found]
 
 
 def choose_setting(

@@ -101,6 +101,11 @@ def _principal(B: np.ndarray) -> np.ndarray:
 def _joint_laws(scene: Scene) -> Iterator[Block | None]:
     n = len(scene.model.joints)
     J, q = scene.measured_jacobian[:, :, :n], scene.x[:, :n]
+    if not scene.shows_pose:
+        # The height at which a probe touches is stored as joint readings: its noise is in them, and
+        # the residual itself is a smooth function of them. It is none of where the model touches.
+        residual = scene.residual.reshape(len(q), -1)
+        q = q - np.einsum("nij,nj->ni", np.linalg.pinv(J), residual)
     own = _of_each_own(scene, J, q, OWN_LENGTHS)
     yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
     functions = [smooth(q, length, CENTRES) for length in (0.7, 1.2, 2.5)]

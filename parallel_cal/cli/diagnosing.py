@@ -39,6 +39,7 @@ def diagnose(
     """Find the physical effect that the model lacks. The verdict states how certain this is, and
     what to measure next."""
     from parallel_cal.diagnosis import diagnose as diagnosis
+    from parallel_cal.model.summary import export_command
 
     judged, dataset = read_model_and_data(model, bags, data)
     found = diagnosis.diagnose(
@@ -68,7 +69,9 @@ def diagnose(
         "REFITTED.yaml": "refitted.yaml",
     }
     lines = [name_files(line, names) for line in summarize(found)]
-    if not found.next_steps:
+    if not found.effects and (command := export_command(found.model, model)):
+        lines.append(Line("then:" if found.next_steps else "next:", command, COMMAND))
+    elif not found.next_steps:
         command = command_line(["report", model], found.model, bags, data, "-o", "report.html")
         lines.append(Line("next:", command, COMMAND))
     console.show([summary_table(lines)])

@@ -17,7 +17,8 @@ def import_(
     kind: Annotated[
         str,
         typer.Argument(
-            help="rrf, klipper, marlin, linuxcnc, table or images; or the Python path of your own "
+            help="rrf, klipper, marlin, linuxcnc, fluidnc, touches, table or images; or the Python "
+            "path of your own "
             "importer"
         ),
     ],

@@ -11,9 +11,9 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.effects import (
     choose_setting,
-    collect_recorded_values,
     compute_effect_columns,
     find_missing_conditions,
+    scan_settings,
     widen_scene,
 )
 from parallel_cal.diagnosis.scoring import Score, score
@@ -118,7 +118,7 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
             reason = f"not tested: {one.name}, a special case of it, explains nothing"
             return Candidate(name, effect, reason=reason)
     a = conditions(plain, scene.dataset)
-    settings = list(effect.scan(scene.model.mechanism, collect_recorded_values(scene.dataset)))
+    settings = scan_settings(scene, effect)
     if not settings:
         reason = f"cannot be tested: {', '.join(effect.needs)} never changed"
         return Candidate(name, effect, reason=reason)

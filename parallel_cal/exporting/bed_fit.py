@@ -38,6 +38,7 @@ NOISE_ROUNDS = 3  # of estimating the noise of the heights from the residuals of
 N_BED_POINTS = 60  # where x and y are compared in a fit, at each of the LAYERS
 N_JUDGED_POINTS = 240  # where the largest movement is searched: 60 miss up to 15 % of it
 LAYERS = (0.5, 1.0)  # above the bed, in heights of the workspace
+SLOPE_STEP = 1e-7  # of the size of a number, for slopes
 UNDETERMINED = 1e-12  # of a variance in tolerances: the data leave this combination open
 
 
@@ -47,13 +48,15 @@ class Touched:
 
     `model_height` is the height at which the model says that the probe touches. It is not the
     height of the model's nozzle: for a probe beside the nozzle, the two differ by how the effector
-    and the bed tilt, which touches hardly determine and for which a firmware has no numbers.
+    and the bed tilt, which touches hardly determine and for which a firmware has no numbers. If the
+    bed is `anywhere`, only differences of heights count.
     """
 
     steps: Array  # motors (N, 3) from the end-stops, m or rad
     position: Array  # (N, 3) by the model, m
     height: Array  # (N,) by the touch itself, m
     model_height: Array  # (N,), m
+    anywhere: bool = False
 
     @classmethod
     def by(cls, model: Model, machine: Machine, touches: Touches) -> Touched:
@@ -70,15 +73,22 @@ class Touched:
             for r, R in zip(found.position, found.rotation, strict=True)
         ]
         by_touch, by_model = (upwards * (h - below) for h in (touches.height, np.array(read)))
-        return cls(frame.motors(touches.q - machine.stops), position, by_touch, by_model)
+        steps = frame.motors(touches.q - machine.stops)
+        return cls(steps, position, by_touch, by_model, frame.bed_anywhere)
 
     def positions(self, firmware: Firmware) -> Array:
         """Return the nozzle's positions (N, 3) by a firmware, in its own frame."""
         return compute_positions(firmware, firmware.homed + self.steps, self.position)
 
-    def errors(self, firmware: Firmware) -> Array:
-        """Return heights (N,) in m of the nozzle over a firmware's bed, minus the touches' own."""
-        return np.asarray(self.positions(firmware)[:, 2] - self.height)
+    def errors(self, firmware: Firmware, by_model: bool = False) -> Array:
+        """Return heights (N,) in m of the nozzle over a firmware's bed, minus the touches' own, or
+        minus those by the model."""
+        off = self.positions(firmware)[:, 2] - (self.model_height if by_model else self.height)
+        return np.asarray(off - off.mean() if self.anywhere else off)
+
+    def bed_height(self, firmware: Firmware) -> float:
+        """Return the mean height (m) of the bed by a firmware."""
+        return float(np.mean(self.positions(firmware)[:, 2] - self.height))
 
 
 @dataclass(frozen=True)
@@ -235,7 +245,6 @@ class BedFit:
     ) -> Array:
         from scipy.optimize import least_squares
 
-        heights = self.touched.height if self.by_touch else self.touched.model_height
         target, whitening = self.supported(tightening)
         scale = np.maximum(np.abs(start), 0.01)
         [probe] = [sensor for sensor in self.model.sensors if sensor.name == PROBE]
@@ -252,7 +261,7 @@ class BedFit:
             on_bed, *above = np.split(moves, ends)
             weight = tightening / (np.sqrt(len(self.points)) * XY_SIGMA)
             rows = [
-                (self.touched.positions(firmware)[:, 2] - heights) / noise,
+                self.touched.errors(firmware, by_model=not self.by_touch) / noise,
                 whitening @ (on_bed[:, :2].ravel() - target),
                 *((raised - on_bed).ravel() * weight for raised in above),
                 (_rods(firmware) - _rods(self.old.firmware)) / ROD_SIGMA,
@@ -260,9 +269,19 @@ class BedFit:
             ]
             return np.concatenate(rows)
 
+        def slopes(numbers: Array) -> Array:
+            here, columns = missed(numbers), []
+            for step in np.diag(SLOPE_STEP * scale):
+                ahead = missed(numbers + step) - here
+                # A point may be reached on one side only, or just here.
+                behind = here - missed(numbers - step) if np.isnan(ahead).any() else ahead
+                columns.append(np.where(np.isnan(ahead), np.nan_to_num(behind), ahead) / step.max())
+            return np.column_stack(columns)
+
         numbers = start
         for _ in range(NOISE_ROUNDS):
-            numbers = np.asarray(least_squares(missed, numbers, x_scale=scale).x)
+            found = least_squares(missed, numbers, jac=slopes, x_scale=scale)
+            numbers = np.asarray(found.x)
             off = self.touched.errors(machine(numbers).firmware)
             spare = len(off) - len(start)
             if spare > 0:

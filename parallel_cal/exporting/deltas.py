@@ -275,7 +275,8 @@ def fit_equal_shoulders(
         up = shift[2] if above_bed else 0.0
         shift[2] -= up
         delta = Shoulders(v[0], up * same, v[1] * same, v[2] * same, places, limits)
-        return c.machine(delta, c.frame.axes @ shift)
+        found = c.machine(delta, c.frame.axes @ shift)
+        return replace(found, frame=replace(found.frame, bed_anywhere=not above_bed))
 
     tops = [c.homed.mean()] if one_stop else c.homed
     lengths = [c.radius.mean(), c.arms.mean(), c.rods.mean()]

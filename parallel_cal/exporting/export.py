@@ -321,7 +321,8 @@ def _moves_too_far(files: Sequence[Path], movement: Movement, heights: BedHeight
         "measure a printed length along the other axis, too (sensor printed with along: xy, import "
         "--option printed_x=[sent, measured] and printed_y)"
         if movement.measured
-        else "measure one printed length (import --option printed_x=[sent, measured])"
+        else "measure one printed length (new --sensor 'printed: {along: x, sigma: 2.0e-5}', "
+        "import --option printed_x=[sent, measured])"
     )
     cure = (
         f"{measure} and fit again, keep what the touches determine poorly near the drawing (fit "

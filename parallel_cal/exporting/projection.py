@@ -61,7 +61,9 @@ class Frame:
     """The frame of a firmware: r = origin + axes r_F in {B}.
 
     Motor k is joint order[k] of the model, and the reading grows by signs[k] times the
-    motor: 1 or -1, or m per count.
+    motor: 1 or -1, or m per count. The bed of a printer is the plane z = 0, unless `bed_anywhere`:
+    the firmware counts from its motors, and the owner states the height of the bed as an offset of
+    his work.
     """
 
     order: tuple[int, ...]
@@ -69,6 +71,7 @@ class Frame:
     origin: Array = field(default_factory=lambda: np.zeros(3))
     axes: Array = field(default_factory=lambda: np.eye(3))
     turn: Array = field(default_factory=lambda: np.eye(3))  # axes without the tilt of the plate
+    bed_anywhere: bool = False
 
     def poses(self, r: Array, R: Array) -> tuple[Array, Array]:
         return np.linalg.solve(self.axes, (r - self.origin).T).T, self.turn.T @ R

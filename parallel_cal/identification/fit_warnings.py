@@ -30,8 +30,8 @@ from parallel_cal.model.words import direction_in_words, parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 
 
-def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
-    """List parameters that moved far, and combinations that the data do not determine.
+def list_moved_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
+    """List parameters that moved far from their nominal values.
 
     The size of an effect that the data determine is a result: its nominal value, zero, only states
     that the effect is absent. Sizes that are larger than usual have a sentence of their own when
@@ -44,7 +44,7 @@ def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) 
     is_size = np.array([p.name.partition(".")[0] in effects for p in table], dtype=bool)
     with np.errstate(invalid="ignore"):
         is_result = is_size & (np.abs(moved) > SIGMAS_AT_SIGNIFICANCE_LEVEL * sigma)
-    words = [
+    return [
         f"{p.shown_name} moved {moved[i]:+.1f} tolerances from nominal{_describe_sigma(sigma[i])}"
         for i, p in enumerate(table)
         if free[i]
@@ -52,6 +52,11 @@ def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) 
         and p.name not in model.usual_tolerances
         and not is_result[i]
     ]
+
+
+def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
+    """List parameters that moved far, and combinations that the data do not determine."""
+    table, words = model.table, list_moved_parameters(model, estimate, free)
     unidentifiable = estimate.spectrum.unidentifiable
     if len(unidentifiable) > MAX_NAMED_DIRECTIONS:
         part_of = {name for direction in unidentifiable for name in direction}

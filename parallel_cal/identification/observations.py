@@ -433,8 +433,9 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
         )
         raise FitError(
             f"{dataset.source}: readings of {', '.join(list_channel_groups(strange))}, but the "
-            f"model's sensors have {expected or 'no channel'}: describe the "
-            "set-up in the model file"
+            f"model's sensors have {expected or 'no channel'}: state the "
+            "set-up under `sensors` in the model file, or make the model anew with `new --sensor` "
+            "(`parallel-cal sensors` lists them with their options)"
         )
     none = np.full(len(dataset.q), np.nan)
     columns = [dataset.conditions.get(READING + contact_of.get(c, c), none) for c in channels]

@@ -15,19 +15,31 @@ from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_func
 from parallel_cal.recordings.dataset import Dataset
 
 SHELF = "importing.importers"
+NO_SAMPLES = (
+    "the files of {} hold no samples. Touches of the bed: write X, Y and Z (mm) of each into a "
+    "table, `import touches TABLE.csv CONFIGURATION`. Poses that a device measured: `import table` "
+    "or `import-csv`"
+)
 
 
 @dataclass(frozen=True)
 class ConfiguredRobot:
-    """A machine as its controller is configured, and what the configuration does not state."""
+    """A machine as its controller is configured, and what the configuration does not state.
+
+    `formula` is the Delta (importing/deltas.py) as which the controller computes it; None if it is
+    another machine.
+    """
 
     model: Model
     remarks: tuple[str, ...] = ()
+    formula: Any = None
 
 
 def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
     """Read the samples in a controller's files; DatasetError names file, line and field."""
-    read = load_module(SHELF, kind, DatasetError).samples
+    read = getattr(load_module(SHELF, kind, DatasetError), "samples", None)
+    if read is None:
+        raise DatasetError(NO_SAMPLES.format(kind))
     takes = [str(p.replace(annotation=p.empty)) for p in [*signature(read).parameters.values()][1:]]
     try:
         signature(read).bind(paths, **options)
@@ -41,7 +53,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
     The file's suffix identifies the controller. An importer that has `recognizes` asks the file's
     text, too, and comes before those that have not. The model has the `MACHINE_CLASS` of the
-    importer.
+    importer, and its history names controller and files.
     """
     modules = {name: load_module(SHELF, name) for name in list_plugins(SHELF)}
     kinds = {n: m.CONFIGURATION for n, m in modules.items() if hasattr(m, "CONFIGURATION")}
@@ -50,7 +62,9 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         if paths[0].suffix in kinds[name] and recognizes(paths[0]):
             found: ConfiguredRobot = modules[name].configured(paths)
             machine_class = getattr(modules[name], "MACHINE_CLASS", DEFAULT_CLASS)
-            return replace(found, model=replace(found.model, machine_class=machine_class))
+            origin = {"step": "new", "controller": name, "files": [str(path) for path in paths]}
+            model = replace(found.model, machine_class=machine_class, history=(origin,))
+            return replace(found, model=model)
     endings = {n: " or ".join(end or "no suffix" for end in ends) for n, ends in kinds.items()}
     known = "; ".join(f"{ending} ({name})" for name, ending in endings.items())
     raise DatasetError(

@@ -357,4 +357,4 @@ def make_configured_robot(
     values = model.values.copy()
     for axis, slope in (("rx", plate[1]), ("ry", -plate[0])):
         values[model.table.index_of(f"probe.plate.{axis}")] = slope
-    return ConfiguredRobot(model.with_values(values), (NOT_STATED, *remarks))
+    return ConfiguredRobot(model.with_values(values), (NOT_STATED, *remarks), delta)

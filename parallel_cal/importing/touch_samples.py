@@ -23,16 +23,20 @@ from parallel_cal.recordings.samples import READING
 from parallel_cal.recordings.table import read_table, split_unit
 
 PROBE = READING + "probe"
+SAME_PLACE = 1e-5  # m, between touches at one place by the firmware
+MAX_HEIGHT_MM = 20.0  # from the nominal plane; no probe searches for a bed further away
 NO_SIZE = (
     "touches of the bed cannot determine the print scale (cannot_know): a printer that is 1 % too "
     "large gives the same touches. Measure one printed length"
 )
 
 
-def read_touch_table(path: Path, max_height_mm: float) -> tuple[Array, list[SourceLine]] | None:
+def read_touch_table(
+    path: Path, plane_mm: float | None = 0.0
+) -> tuple[Array, list[SourceLine]] | None:
     """Read touches (N, 3) in m, and the line of each, of a table with the columns x, y and z, in mm
     if the header states no unit; None if it has no such columns. DatasetError for a height that no
-    probe reaches."""
+    probe reaches from the nominal plane of the bed, by default that of the touches (None)."""
     table = read_table(path)
     columns = [name for name in find_position(table, ()) or () if name]
     if not columns:
@@ -46,11 +50,14 @@ def read_touch_table(path: Path, max_height_mm: float) -> tuple[Array, list[Sour
         )
     points = table.numbers(words) * [LENGTHS[unit] for unit in units]
     places = [SourceLine(path, line) for line in table.lines]
-    if (far := np.flatnonzero(np.abs(points[:, 2]) > max_height_mm * MM)).size:
+    heights = points[:, 2] / MM
+    plane = float(np.median(heights)) if plane_mm is None and len(heights) else plane_mm or 0.0
+    if (far := np.flatnonzero(np.abs(heights - plane) > MAX_HEIGHT_MM)).size:
         raise places[far[0]].error(
             words[2],
-            f"{points[far[0], 2] / MM:g} mm",
-            f"the height of the bed there, within {max_height_mm:g} mm of the nominal plane",
+            f"{heights[far[0]]:g} mm",
+            f"the height of the bed there, within {MAX_HEIGHT_MM:g} mm of "
+            + ("the nominal plane" if plane_mm is not None else f"{plane:g} mm, the middle of all"),
         )
     return points, places
 
@@ -153,7 +160,7 @@ def make_touch_samples(
     nozzle: ArrayLike,
     places: Sequence[SourceLine],
     paths: Sequence[Path],
-    step: ArrayLike,
+    step: ArrayLike | None,
     visits: Array | None = None,
     dropped: Sequence[Dropped] = (),
     warnings: Sequence[str] = (),
@@ -162,10 +169,13 @@ def make_touch_samples(
 ) -> Dataset:
     """Return touches whose nozzle positions (N, 3) in m the controller stored.
 
-    `places` are the lines of the file. A motor's `step` (m or rad) rounds its joint. Touches with
-    equal `visits` are replicates.
+    `places` are the lines of the file. A motor's `step` (m or rad), if it is known, rounds its
+    joint. Touches with equal `visits`, by default at equal x and y, are replicates: their heights
+    may differ by more than neighbouring joint readings do.
     """
     at = np.array(nozzle, float).reshape(-1, 3)
+    if visits is None:
+        visits = np.round(at[:, :2] / SAME_PLACE)
     q = delta.joints(at)
     for k in np.flatnonzero(~np.isfinite(q).all(axis=1))[:1]:
         x, y, z = at[k] / MM
@@ -183,7 +193,7 @@ def make_joint_samples(
     q: Array,
     height: ArrayLike,
     paths: Sequence[Path],
-    step: ArrayLike,
+    step: ArrayLike | None,
     visits: Array | None = None,
     dropped: Sequence[Dropped] = (),
     warnings: Sequence[str] = (),
@@ -213,7 +223,7 @@ def make_joint_samples(
         q,
         np.zeros((len(q), 3)),
         measured=np.zeros(6, bool),
-        joint_sigma=np.broadcast_to(step, 3) / 12**0.5,
+        joint_sigma=None if step is None else np.broadcast_to(step, 3) / 12**0.5,
         conditions=conditions,
         pose_id=same,
         source=files,

@@ -2,10 +2,28 @@
 
 from __future__ import annotations
 
+import shlex
+from pathlib import Path
 from typing import Any
 
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
+from parallel_cal.model.shelf import list_plugins
+
+STORED = (".log", ".gcode")  # what a controller printed or is sent, not what it reads
+
+
+def export_command(model: Model, file: str | Path) -> str:
+    """Return the command that writes the model in `file` for the controller from whose files it was
+    made; empty if there is none, or none that it can be exported to."""
+    for entry in model.history:
+        name, files = str(entry.get("controller", "")), entry.get("files")
+        if name in list_plugins("exporting.targets") and isinstance(files, list) and files:
+            own = [word for path in files for word in ("--into", str(path))]
+            if Path(str(files[0])).suffix.lower() in STORED:
+                own = ["-o", name]
+            return shlex.join(["parallel-cal", "export", str(file), "--to", name, *own])
+    return ""
 
 
 def summarise_model(model: Model) -> dict[str, Any]:

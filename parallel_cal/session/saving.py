@@ -20,7 +20,10 @@ from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
 from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
-from parallel_cal.identification.fit_warnings import list_parameter_warnings
+from parallel_cal.identification.fit_warnings import (
+    list_moved_parameters,
+    list_parameter_warnings,
+)
 from parallel_cal.identification.given_model import GivenModel, was_fitted, was_last_fitted_to
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.options import FitOptions
@@ -259,7 +262,9 @@ class _Judged:
             found = GivenModel.of(model, dataset, options.joint_sigma).errors
             return cls(model, found, PERHAPS_USED if was_fitted(model) else UNSEEN)
         result: FitResult = fit(model, dataset, options)
-        doubts = tuple(list_parameter_warnings(result.model, result.estimate, result.free))
+        # What the program frees by itself and the data do not determine keeps its values.
+        list_doubts = list_parameter_warnings if options.free else list_moved_parameters
+        doubts = tuple(list_doubts(result.model, result.estimate, result.free))
         if result.held_out.summary.is_known:
             return cls(model, result.held_out, HELD_OUT, doubts)
         return cls(model, result.before, USED, doubts)

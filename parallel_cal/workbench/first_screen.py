@@ -7,6 +7,8 @@ from typing import Any
 
 from nicegui import ui
 
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.summary import export_command
 from parallel_cal.reporting.blocks import MAX_REMARKS
 from parallel_cal.reporting.error_steps import (
     DOTTED,
@@ -196,7 +198,12 @@ class VerdictCard:
         self.poses.set_text(offered)
         is_saved = "answers" in self._view and self.bench.is_saved
         self.saved.set_visibility(is_saved)
-        self.saved.set_text(f"This model is saved in {self.bench.output.name}.")
+        output = self.bench.output
+        words = f"This model is saved in {output.name}."
+        command = export_command(read_model(output), output) if is_saved else ""
+        if command:
+            words += f" Next, write it to the controller: {command}"
+        self.saved.set_text(words)
 
     def _begin(self) -> None:
         if self._next is not None:

@@ -187,3 +187,13 @@ def test_a_broken_log_is_named_with_line_and_field(log, name):
     assert message in str(error.value)
     assert "printer.log" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_touches_at_one_place_by_one_setting_are_replicates_however_far_apart(log):
+    """Joint readings that differ by as much as noise of 1 mm were no replicates, unless by chance
+    they were near: the noise that diagnose stated was then that of the near ones."""
+    again = "\nRecv: Bed X: 10.00 Y: 20.00 Z: {}\n"
+    text = BED + again.format(0.5) + again.format(-0.5)
+    data = samples("marlin", log(text + "Send: M665 R151\n" + again.format(0.1)))
+    first, second, other = data.pose_id[-3:]
+    assert first == second != other

@@ -232,3 +232,10 @@ def test_a_broken_file_is_named_with_line_and_field(files, name):
         samples("table", paths, **options)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_table_without_joint_readings_is_named(files):
+    """It ended with a traceback of the library that checks column maps."""
+    [tracker, _] = files(tracker="X [mm],Y [mm],Z [mm]\n1,2,3\n4,5,6\n")
+    with pytest.raises(ParallelCalError, match="no column is a joint reading: expected a second"):
+        samples("table", [tracker])

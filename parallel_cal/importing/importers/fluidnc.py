@@ -137,7 +137,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     remarks = [deltas.NOT_STATED, REVERSED]
     if any(stated.number(field, "mm", 0.0) for field in HOMED_AT[:2]):
         remarks.append(f"x and y of the model count from the motors' axis, without {HOMED_AT[0]}")
-    return ConfiguredRobot(new_model(machine.mechanism()), tuple(remarks))
+    return ConfiguredRobot(new_model(machine.mechanism()), tuple(remarks), machine)
 
 
 def settings(paths: Sequence[Path]) -> Settings:

@@ -37,7 +37,7 @@ def recognizes(path: Path) -> bool:
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the robot as configured."""
     machine = shoulders(settings(paths))
-    return ConfiguredRobot(new_model(machine.mechanism()), (deltas.NOT_STATED, REVERSED))
+    return ConfiguredRobot(new_model(machine.mechanism()), (deltas.NOT_STATED, REVERSED), machine)
 
 
 def settings(paths: Sequence[Path]) -> Settings:

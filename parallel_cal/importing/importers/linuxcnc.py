@@ -103,7 +103,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if isinstance(machine, Shoulders):
         arms, more = with_arm_travel(machine, stated, unit, _short_shins(stated))
         remarks += [*more, deltas.ANGLES_UP.format("LinuxCNC")]
-        return ConfiguredRobot(new_model(arms.mechanism()), (deltas.NOT_STATED, *remarks))
+        return ConfiguredRobot(new_model(arms.mechanism()), (deltas.NOT_STATED, *remarks), arms)
     if stated.number(f"{HEXAPOD}.screw-lead", "a length", 0.0):
         remarks.append(f"{HEXAPOD}.screw-lead: the correction of the struts' lengths is not used")
     for pin in OFFSETS:

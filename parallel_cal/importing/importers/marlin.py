@@ -75,7 +75,16 @@ def samples(
     """Read the touches of a log; G33 with more than P3, or without its command, is not used."""
     texts: dict[str, tuple[str, SourceLine]] = {}
     remarks = list[str]()
-    stated, found, skipped = Settings(texts, paths, remarks=remarks), [], False
+    stated, skipped = Settings(texts, paths, remarks=remarks), False
+    found, visits, configurations = list[Array](), list[Array](), dict[str, int]()
+
+    def touch_at(nozzle: Array) -> None:
+        found.append(_reading(stated, nozzle))
+        # The same x and y by other settings are another place.
+        words = repr(sorted((field, text) for field, (text, _) in texts.items()))
+        number = configurations.setdefault(words, len(configurations))
+        visits.append(np.array([*nozzle[:2], number]))
+
     radius, single, shift = None, False, Z_ONLY
     for place, line in _iterate_lines(paths, texts, remarks):
         if asked := re.search(r"(?<!\w)G33\b(.*)", line):
@@ -90,7 +99,7 @@ def samples(
                 place.number(f"Bed {a}", t, "mm", -1e3, 1e3)
                 for a, t in zip("XYZ", touch.groups(), strict=True)
             ]
-            found.append(_reading(stated, np.array(bed) * MM - tip(stated)))
+            touch_at(np.array(bed) * MM - tip(stated))
         elif line.startswith(".") and (report := REPORT.findall(line)):
             skipped |= not single
             for name, text in report if single else ():
@@ -100,7 +109,7 @@ def samples(
                     out = radius or stated.number("M665 B", "'at radius:' of G33, in mm", low=1.0)
                 turn = POINT_ANGLES_DEG.get(name, 0) * DEGREE
                 nozzle = np.array([out * np.cos(turn), out * np.sin(turn), z])
-                found.append(_reading(stated, nozzle * MM - tip(stated) * shift))
+                touch_at(nozzle * MM - tip(stated) * shift)
     if not found:
         expected = "'Bed X: Y: Z:' lines (G29 V4, G30) or the report of G33 P2 V3 or P3 V3"
         why = f"; {MEANS}" if skipped else ""
@@ -109,7 +118,9 @@ def samples(
     delta = towers(stated)
     q, printed = np.array(found) + delta.end_stops, make_printed_ends(delta, printed_x, printed_y)
     means = [MEANS] if skipped else []
-    touched = make_joint_samples(q, np.zeros(len(q)), paths, step, warnings=means, printed=printed)
+    touched = make_joint_samples(
+        q, np.zeros(len(q)), paths, step, np.array(visits), warnings=means, printed=printed
+    )
     return replace(touched, configuration=deltas.end_stops(delta))
 
 

@@ -26,6 +26,7 @@ from parallel_cal.importing.gcode import STEPS_FIELDS, read_scale, settings
 from parallel_cal.importing.hangprinter import Hangprinter
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import (
+    MAX_HEIGHT_MM,
     make_printed_ends,
     make_touch_samples,
     read_touch_table,
@@ -45,7 +46,6 @@ LABELS = (
     "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum",
     "xmin,xmax,ymin,ymax,radius,spacing,xnum,ynum",
 )
-MAX_HEIGHT_MM = 20.0  # from the nominal plane; no probe searches for a bed further away
 UNEQUAL_ARMS = (
     "RepRapFirmware (read up to 3.5.3) computes the heights of all three arms with the length of "
     "arm A when it computes the position from the motors, as after homing"
@@ -137,7 +137,7 @@ def read_map(path: Path) -> tuple[Array, list[SourceLine], list[Dropped]]:
     if not rows or not rows[0][1].startswith(HEAD):
         first = rows[0][1][:40] if rows else ""
         is_map = first.startswith(HEAD.rpartition(" ")[0])  # of another version
-        if rows and not is_map and (found := read_touch_table(path, MAX_HEIGHT_MM)):
+        if rows and not is_map and (found := read_touch_table(path)):
             return *found, []
         expected = f"'{HEAD} ...', or a table with the columns x, y and z of touches in mm"
         raise SourceLine(path, 1).error("the first line", first, expected)

@@ -106,7 +106,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if isinstance(machine, Towers):
         return deltas.make_configured_robot(machine, np.zeros(3), remarks=remarks)
     model = new_model(machine.mechanism())
-    return ConfiguredRobot(model, (deltas.NOT_STATED, REVERSED, *remarks))
+    return ConfiguredRobot(model, (deltas.NOT_STATED, REVERSED, *remarks), machine)
 
 
 def settings(paths: Sequence[Path]) -> Settings:

@@ -35,6 +35,10 @@ from parallel_cal.recordings.table_samples import make_dataset
 XYZ = ("x", "y", "z")
 ROW = "row"  # joins tables line by line
 TIMES = ("t", "time", "timestamp", "stamp", "datetime")
+NO_JOINTS = (
+    "{}: no column is a joint reading: expected a second table with them, or columns beside the "
+    "position. Touches of a printer's bed have none: `import touches TABLE.csv CONFIGURATION`"
+)
 TIME = "time since the first point [s]"  # the name of a converted column
 EPOCH = date(1970, 1, 1)
 CLOCK = re.compile(
@@ -88,6 +92,8 @@ def samples(
         else:  # every column that is neither the position, the key, nor a time
             words = [word for word in log.header if word]
             columns += [w for w in words if not {w.lower(), split_unit(w)[0].lower()} & taken]
+    if not columns:
+        raise DatasetError(NO_JOINTS.format(", ".join(map(str, paths))))
     units = dict.fromkeys(where, unit) | dict.fromkeys(columns, joint_unit)
     if clock := conditions.pop("time", ""):
         timed = _convert_times(points, str(clock))
