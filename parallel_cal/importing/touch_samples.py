@@ -94,7 +94,7 @@ def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
     if not touched.any():
         raise DatasetError(
             f"{dataset.source}: no touch of a bed in it: expected readings of the "
-            "sensor 'probe', as `import rrf`, `klipper`, `marlin` and `linuxcnc` "
+            "sensor 'probe', as `import touches`, `rrf`, `klipper`, `marlin` and `linuxcnc` "
             "create them"
         )
     q = order_joints(dataset, joints).q
