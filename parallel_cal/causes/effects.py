@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.unknown_laws import LOG_PRIOR
 from parallel_cal.identification.observations import conditions
@@ -22,7 +23,6 @@ from parallel_cal.recordings.dataset import Dataset
 MIN_SCANNED = 3  # values of a setting, to refine it between them
 # Places, drivers and forms among which `discover` finds a law: what was found must pay for them.
 FORMS = 24_000
-EQUAL_EVIDENCE = 4.5  # of the logarithm, three sigmas: two settings fit as well
 
 
 def list_effect_blocks(

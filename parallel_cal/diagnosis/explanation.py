@@ -22,7 +22,7 @@ from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
-from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
+from parallel_cal.diagnosis.thresholds import CREDIBLE, MIN_REPLICATE_DOF
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, KNOCK, LAW, Block, Stack
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice
@@ -33,7 +33,6 @@ MAX_LINEARISATIONS = 2
 # Of chi2, between a fit and what the linear problem predicts: in 20 sessions at most 1.5 where a
 # sum about the new geometry gave the same causes, and 6 and 130 where effects were mistaken.
 MAX_LINEAR_ERROR = 2.0
-CREDIBLE = 0.95  # probability that the cause is one of those named for it
 
 
 @dataclass(frozen=True)

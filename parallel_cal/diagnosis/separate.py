@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.causes.effects import collect_recorded_values
@@ -17,11 +18,11 @@ from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.region import TOUCH_A_BLOCK, is_touched_at_one_height
 from parallel_cal.diagnosis.search import Chosen, Trial, fits_as_well
 from parallel_cal.diagnosis.thresholds import (
-    MAX_RIVAL_SETTINGS,
+    MAX_REFITTED_CANDIDATES,
+    MIN_SEPARATION_SIGMAS,
     PLAN_REACHES,
     PLAN_SIZES,
     POOL,
-    TARGET_SEPARATION_SIGMAS,
 )
 from parallel_cal.identification.fit import fit_unjudged
 from parallel_cal.identification.linearisation import Linearisation
@@ -75,7 +76,7 @@ class Separation:
     @property
     def is_enough(self) -> bool:
         """Whether the poses separate the two, with a margin for chance."""
-        return self.sigmas.then > TARGET_SEPARATION_SIGMAS
+        return self.sigmas.then > MIN_SEPARATION_SIGMAS + SIGMAS_AT_SIGNIFICANCE_LEVEL
 
     def __str__(self) -> str:
         one, other = self.separates
@@ -178,10 +179,10 @@ def list_effect_variants(best: Trial, name: str) -> list[Trial]:
     recorded = collect_recorded_values(fitted.dataset)
     scanned = [
         model.with_settings(name, one)
-        for one in islice(own.scan(model.mechanism, recorded), MAX_RIVAL_SETTINGS + 1)
+        for one in islice(own.scan(model.mechanism, recorded), MAX_REFITTED_CANDIDATES + 1)
     ]
     others = [one for one in scanned if not np.allclose(one.values, model.values, atol=0)]
-    if len(scanned) > MAX_RIVAL_SETTINGS or len(others) == len(scanned):
+    if len(scanned) > MAX_REFITTED_CANDIDATES or len(others) == len(scanned):
         return [best]
     refits = [refit for one in others if (refit := _refit(best, one)) is not None]
     return [best, *(refit for refit in refits if fits_as_well(best, refit))]
@@ -200,7 +201,7 @@ def _refit(best: Trial, model: Model) -> Trial | None:
 def list_rival_variants(rival: Candidate, dataset: Dataset) -> list[Chosen]:
     """A rival in each of its settings if there are only a few, because a setting that is not the
     best may explain the new poses; else only in the best setting."""
-    if rival.tried > MAX_RIVAL_SETTINGS:
+    if rival.tried > MAX_REFITTED_CANDIDATES:
         return [Chosen.of(rival)]
     scene = rival.scene
     settings = (

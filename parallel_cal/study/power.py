@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import append_lines, json_lines, open_locked
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
-from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL
 from parallel_cal.fleet.cluster import (
     KILLED_WORKER_REASON,
     check_extra_installed,
@@ -186,7 +186,7 @@ def power(
                 f"available effects: {', '.join(names)}"
             )
         catalogue = [candidate(scene, name) for name in names]
-        level = EFFECT_SIGNIFICANCE_LEVEL / max(sum(one.testable for one in catalogue), 1)
+        level = SIGNIFICANCE_LEVEL / max(sum(one.testable for one in catalogue), 1)
         wanted = effects or names
         all_of = [
             predict_detectability(question, one, level) for one in catalogue if one.name in wanted
