@@ -22,7 +22,8 @@ from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
-from parallel_cal.diagnosis.thresholds import CREDIBLE, MIN_REPLICATE_DOF
+from parallel_cal.diagnosis.thresholds import CREDIBLE
+from parallel_cal.identification.thresholds import MIN_DOF
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, KNOCK, LAW, Block, Stack
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice
@@ -330,7 +331,7 @@ def _find_noise(scene: Scene) -> tuple[float, float]:
     less.
     """
     seen, stated = PureError.of(scene, Field.of(scene)), not scene.observations.noise_assumed
-    v, measured = seen.variance, seen.dof >= MIN_REPLICATE_DOF
+    v, measured = seen.variance, seen.dof >= MIN_DOF
     if v is not None and measured and (not stated or (seen.contradicts_stated_noise and v < 1)):
         return max(v, 1e-12), UNKNOWN
     if stated:

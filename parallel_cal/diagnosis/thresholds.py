@@ -22,7 +22,6 @@ MIN_COLUMN_REMAINDER = (
 # samples, rows or steps for each coefficient, spline or time constant: fewer do not determine it
 SAMPLES_PER_NUMBER = 4
 MIN_VISIBLE_SIGMAS = 0.1  # of all residuals, at typical size: ten times that is the most plausible
-MIN_REPLICATE_DOF = 8  # degrees of freedom: with fewer the noise is known to 25 % at best
 
 
 # Which effects are tested and added

@@ -19,7 +19,7 @@ from parallel_cal.identification.thresholds import (
     IMAGE_POSE_STEPS,
     MAX_IMAGE_POSE_SIGMA_RATIO,
     MAX_SCORING_STEPS,
-    MIN_IMAGE_NOISE_DOF,
+    MIN_DOF,
     MIN_NOISE_FACTOR,
     RELATIVE_RANK,
 )
@@ -116,7 +116,7 @@ def measure_image_noise(model: Model, observations: Observations) -> Observation
         images = int(np.isfinite(residual).any(axis=1).sum())
         own_parameters = model.table.matching([f"{sensor.name}.*"]) & ~np.asarray(model.fixed)
         dof = rows - 6 * images - int(own_parameters.sum())
-        if dof < MIN_IMAGE_NOISE_DOF:
+        if dof < MIN_DOF:
             return observations
         measured = float(np.sqrt(np.nansum(residual**2) / dof))
         sigma[:, own] = max(measured, MIN_NOISE_FACTOR * sensor.guessed_sigma)

@@ -6,15 +6,16 @@
 MAX_MOVED_TOLERANCES = 5.0
 MAX_HELD_ERROR_RATIO = 3.0  # of the noise: above, a coordinate that the model holds does move
 MIN_TRUSTED_WEIGHT = 0.5  # a sample that a robust loss gives less weight than this is named
-MIN_DOF = 10  # degrees of freedom: with fewer, chi2/dof does not show what a fit leaves
+# degrees of freedom: with fewer, chi2/dof or replicates show the noise to 25 % at best
+MIN_DOF = 8
 MIN_SCALED_LENGTHS = 3  # not zero in the drawing: fewer share a factor by chance
 MAX_UNSCALED_SHARE = 0.05  # of the squares of what moved lengths: the rest is one common factor
 MIN_NAMED_SHARE = 0.1  # of a direction's largest part: smaller ones are not named
 MAX_NAMED_DIRECTIONS = 6  # unidentifiable directions to name one by one; more are one sentence
 MAX_NAMED_WEAK_DIRECTIONS = 2  # weakest directions to name: a document has all of them
-MAX_NEGLIGIBLE_ERROR_RISE = (
-    0.01  # of the validation error: the removal of an effect may cost so much
-)
+# of the validation error: the removal of an effect may cost so much; of a standard deviation of
+# noise: smaller changes end its estimation
+MAX_NEGLIGIBLE_ERROR_RISE = 0.01
 # A factor that all lengths of a robot have in common, which a wrong size of a printed board causes
 MIN_COMMON_SCALE = 2e-3  # nobody measures a printed board to less
 UNKNOWN_TOLERANCES = 1e3  # sigma of a number of which nothing is known
@@ -60,7 +61,6 @@ MAX_SCORING_STEPS = 100  # of Fisher scoring for variances
 # estimations of the noise, each followed by a fit: with a robust loss, eight make it three times as
 # large (`test_a_robust_loss_estimates_the_noise_of_the_good_samples`)
 MAX_NOISE_ROUNDS = 3
-CONVERGED_NOISE_RATIO = 1.01  # of standard deviations: smaller changes end the estimation
 
 # Convergence
 # of chi2, of a weight, or of the priors of weak directions: a search ends if its next step is
@@ -101,7 +101,6 @@ MIN_PLACEMENT_POSES = 4  # that start a sensor which shows poses
 MIN_DOUBTFUL_SHARE = 0.15
 IMAGE_POSE_STEPS = 2  # of Gauss-Newton from the predicted pose, which is near
 MAX_IMAGE_POSE_SIGMA_RATIO = 3.0  # times the median: images that show their pose less precisely
-MIN_IMAGE_NOISE_DOF = 50  # residuals of images that measure their noise to a tenth
 
 # An effect of the device beyond MAX_MOVED_TOLERANCES is separated from the robot by the data
 # alone. It is refused if it moves the robot further than so many times the error that it removes:
