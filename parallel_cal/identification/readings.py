@@ -17,7 +17,6 @@ from parallel_cal.identification.thresholds import (
     MAX_RANGES,
     MAX_SCALE_MISMATCH,
     MAX_SCALE_SPREAD,
-    MIN_POSE_SPAN,
     MIN_SCALE_CORRELATION,
     MIN_SCALE_SAMPLES,
     MOST_READINGS,
@@ -110,8 +109,7 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
     # disagree: some are not correlated with their readings, or all by different factors.
     middle = np.median(moved, axis=0)
     inside = (low - width < middle) & (middle < high + width)
-    moves = np.ptp(moved, axis=0) > MIN_POSE_SPAN * width
-    used = np.flatnonzero(~limited | (inside & moves))
+    used = np.flatnonzero(~limited | inside)
     scales = [_scale(read[:, i], moved[:, i]) for i in used]
     if not scales or None in scales:
         return factor
