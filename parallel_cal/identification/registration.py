@@ -36,9 +36,9 @@ from parallel_cal.identification.thresholds import (
     MAX_REMAINING_SHARE,
     MAX_REMAINING_SHARE_IDENTIFIED,
     MIN_EXPLAINED_ERROR_RATIO,
+    MIN_FRAME_COLUMN_REMAINDER,
     MIN_REGISTRATION_POSES,
     MIN_UNREGISTERED_ERROR_RATIO,
-    RELATIVE_RANK,
     ROUNDING,
     UNKNOWN_TOLERANCES,
 )
@@ -522,7 +522,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions, t
     unit = columns / np.where(sizes > ROUNDING * sizes.max(), sizes, np.inf)
     adds = np.zeros(int(free.sum()), dtype=bool)
     adds[order] = find_independent_columns(
-        np.asarray(np.linalg.qr(unit[:, order], mode="r")), RELATIVE_RANK
+        np.asarray(np.linalg.qr(unit[:, order], mode="r")), MIN_FRAME_COLUMN_REMAINDER
     )
     fixed = model.fixed.copy()
     fixed[np.flatnonzero(free)[device[free] & ~adds]] = True

@@ -55,8 +55,11 @@ MAX_UNEXPLAINED_SHARE = 0.03  # [2, 0]
 # of the largest singular value of exact columns; of chi2, and in tolerances: a step that ends a fit
 ROUNDING = 1e-9  # [35, 34]
 # of the largest singular value, columns in units of tolerance; of a parameter (squared share) in
-# directions that are not determined; of a frame's unit column, beside those of the robot
+# directions that are not determined
 RELATIVE_RANK = 1e-6  # [4, 3]
+# of a unit column: part of a frame's parameter that no parameter of the robot imitates. With 1e-6,
+# the sigma of a Delta before a tracker two metres away was 28 times too large beyond its poses.
+MIN_FRAME_COLUMN_REMAINDER = 1e-4
 # sigmas that one tolerance moves the residuals by: below, the direction is weak
 MIN_SIGMAS_PER_TOLERANCE = 1.0  # [8, 26]
 # smallest singular value, as a share of the best sample's: samples nearer to a singularity are
