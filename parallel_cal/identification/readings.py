@@ -16,6 +16,7 @@ from parallel_cal.base.units import ANGLES, LARGE_UNITS, LENGTHS, UNITS
 from parallel_cal.identification.thresholds import (
     MAX_RANGES,
     MAX_SCALE_MISMATCH,
+    MAX_SCALE_SAMPLES,
     MAX_SCALE_SPREAD,
     MIN_SCALE_CORRELATION,
     MIN_SCALE_SAMPLES,
@@ -102,7 +103,8 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
     large = ~limited | (span > width)
     if len(q) < MIN_SCALE_SAMPLES or not (small | large).any():
         return factor
-    read, moved = _readings_and_motion(model, x, measured, a, quick=True)
+    some = np.unique(np.linspace(0, len(q) - 1, MAX_SCALE_SAMPLES).astype(int))
+    read, moved = _readings_and_motion(model, x[some], measured[some], a[some], quick=True)
     if len(read) < MIN_SCALE_SAMPLES:
         return factor
     # In an unknown frame of the device, the poses lie where the robot cannot be, or the joints

@@ -39,7 +39,7 @@ MOST_READINGS = 0.8  # of a joint's readings: a few outliers say nothing about t
 MAX_RANGES = 8.0  # of a joint: no readings span as many, and no zero is so far off [0, 0]
 SAME_UNIT = 0.05  # in the logarithm: by so much a ratio may differ from a unit's
 # Joint readings whose scale the measured poses contradict
-MIN_SCALE_SAMPLES = 10  # [1, 0: hangprinter_hp4]
+MIN_SCALE_SAMPLES, MAX_SCALE_SAMPLES = 10, 200  # more are not needed [1, 0: hangprinter_hp4]
 MIN_SCALE_CORRELATION = 0.97  # of readings and inverse solutions; a wrong frame lowers it [0, 72]
 MAX_SCALE_SPREAD = 0.25  # in the logarithm, between joints with the same mismatch [0, 0]
 # no gain of a drive is wrong by such a factor; a wrong pitch may be, by 2
