@@ -9,7 +9,7 @@ import numpy as np
 from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.region import is_of_touches
-from parallel_cal.diagnosis.thresholds import CERTAINTY_LEVEL
+from parallel_cal.diagnosis.thresholds import REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.image_poses import IMAGE_SCATTER
@@ -42,7 +42,10 @@ class PureError:
         if self.variance is None or self.dof < MIN_DOF:
             return False
         squares = self.variance * self.dof
-        return bool(min(chdtr(self.dof, squares), chdtrc(self.dof, squares)) < CERTAINTY_LEVEL / 2)
+        return bool(
+            min(chdtr(self.dof, squares), chdtrc(self.dof, squares))
+            < REPLICATE_CONTRADICTION_LEVEL / 2
+        )
 
     @classmethod
     def of(cls, scene: Scene, field: Field) -> PureError:

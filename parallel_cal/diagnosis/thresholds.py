@@ -14,9 +14,10 @@ anything with the limit: tests and the sentence beside it do.
 CREDIBLE = 0.95
 # of the variance of a slow mean, by correlated noise: less hardly changes a sigma
 MIN_INFLATION = 1.5  # [1, 0: warmth]
-# p-value below which what was stated is contradicted: replicates replace the stated noise, "this is
-# noise" is wrong if residuals depend on a condition, and an effect counts within the noise
-CERTAINTY_LEVEL = 1e-6  # [1, 0: delta_thermal]
+# p-value below which replicates replace the stated noise
+REPLICATE_CONTRADICTION_LEVEL = 1e-4  # [1, 0: delta_thermal]
+# p-value below which "this is noise" is wrong: residuals depend on a condition, or an effect counts
+CERTAINTY_LEVEL = 1e-6  # [0, 0]
 OUTLIER_SIGNIFICANCE_LEVEL = 1e-3  # p-value of an outlier, over the whole data set [2, 0]
 # Cook's distance: without the sample, estimates move by about their sigma
 MIN_INFLUENTIAL_COOKS_DISTANCE = 1.0  # [1, 0]
