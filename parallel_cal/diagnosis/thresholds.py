@@ -46,6 +46,8 @@ MIN_EXPLAINED_SHARE = 0.7  # of the variance above the noise floor [0, 59]
 MIN_CONFUSED_CORRELATION = 0.9  # [75, 75]
 # of the validation error: an exchange within it fits as well ...
 MAX_SWAP_ERROR_RATIO = 1.05  # [2, 56]
+# members of one family in an "A or B or C": from here on, the family is named (delta_eccentricity)
+MIN_FAMILY_MEMBERS = 3
 MIN_SEPARATION_SIGMAS = 5.0  # ... unless the data separate the two by as many sigmas [1, 0]
 
 # Tests and plots of residuals

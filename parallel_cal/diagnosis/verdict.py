@@ -27,6 +27,7 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_ERROR_TO_NOISE_RATIO,
     MAX_SWAP_ERROR_RATIO,
     MIN_EXPLAINED_SHARE,
+    MIN_FAMILY_MEMBERS,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect
 from parallel_cal.identification.acceptance import acceptance, format_errors
@@ -128,8 +129,10 @@ class Findings:
 
     @property
     def names(self) -> str:
-        """`backlash` or `A or B`; several as `(A or B) and C`."""
-        names = [" or ".join([c.name, *self.swaps.get(c.name, [])]) for c in self.best.chosen]
+        """`backlash`, `A or B` or a family of lookalikes; several as `(A or B) and C`."""
+        names = [
+            format_effect_names([c.name, *self.swaps.get(c.name, [])]) for c in self.best.chosen
+        ]
         if len(names) == 1:
             return names[0]
         return " and ".join(f"({name})" if " or " in name else name for name in names)
@@ -165,6 +168,16 @@ class Findings:
         ratio = ratio_of(self.base, self.best)
         counts = ratio is None or ratio * MAX_SWAP_ERROR_RATIO < 1
         return bool(inside and not (certain and counts))
+
+
+def format_effect_names(names: Sequence[str]) -> str:
+    """`A or B`; of three or more of a family `a smooth error of the joint's angle, e.g. A`."""
+    family = load_effect(names[0]).family
+    own = [name for name in names if family and load_effect(name).family == family]
+    if len(own) < MIN_FAMILY_MEMBERS:
+        return " or ".join(names)
+    others = [name for name in names if name not in own]
+    return " or ".join([f"{family}, e.g. {names[0]}", *others])
 
 
 def share_explained(before: float, after: float, noise: float | None) -> float | None:

@@ -11,6 +11,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
+SMOOTH = "a smooth error of the joint's angle"  # family of effects that are waves or powers of it
 WAVE = {"sin": "sine part", "cos": "cosine part"}  # labels of a periodic error
 
 
@@ -99,6 +100,7 @@ class Harmonic(Effect):
     """q_ideal = q + sin * sin(k q) + cos * cos(k q) for every revolute joint; k is its `order`."""
 
     separated_by = "poses over the whole range of every joint"
+    family = SMOOTH
     order: ClassVar[int]
     tolerance: ClassVar[float]  # rad; ten of it bound the error of real encoders
 

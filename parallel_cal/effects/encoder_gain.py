@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from parallel_cal.effects._joints import explain_how_to_state_spool, shift_joints
+from parallel_cal.effects._joints import SMOOTH, explain_how_to_state_spool, shift_joints
 from parallel_cal.effects._lines import needs_lines
 from parallel_cal.effects._struts import needs_struts
 from parallel_cal.model.effect import Effect, Seen
@@ -20,6 +20,7 @@ SPOOL_SIZE = (5e-3, 50e-3)
 class EncoderGain(Effect):
     """q_ideal = q + gain * q for every joint; a zero reading stays zero."""
 
+    family = SMOOTH
     mistaken = 100.0
     physics = (
         "If the lead of a spindle or the pitch of a belt is wrong by k, the joint travels "

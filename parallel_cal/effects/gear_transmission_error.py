@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.effects._joints import (
+    SMOOTH,
     find_revolute_joints,
     make_waves,
     needs_turning,
@@ -38,6 +39,7 @@ class GearTransmissionError(Effect):
     """
 
     fixed = ("ratio",)
+    family = SMOOTH
     physics = "Eccentric gears and wave generators advance and delay the arm once per input turn."
     remedy = "keep the correction in the model; it stays valid until the gear is taken apart"
     source = "harmonic drives: 0.3-0.45 mrad at one and two periods per turn of the input"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.effects._joints import (
+    SMOOTH,
     find_revolute_joints,
     make_waves,
     needs_turning,
@@ -38,6 +39,7 @@ class StrainWaveRipple(Effect):
     fixed = ("ratio",)
     generalizes = ("gear_transmission_error",)
     refines = False
+    family = SMOOTH
     physics = "Errors of both splines of a strain-wave gear repeat at nearly one rate, and beat."
     remedy = "keep the correction in the model; it stays valid until the gear is taken apart"
     source = "Jia et al., MMT 155 (2021) 104122; Tuttle, MIT AI-TR 1365 (1992): 0.1-0.5 mrad"

@@ -141,6 +141,8 @@ class Effect(ABC):
         Names of effects whose residuals are similar. Default none.
     separated_by : str
         Measurements that distinguish it from its lookalikes.
+    family : str
+        Name, in words, of a group of effects that data rarely distinguish. Default empty.
     generalizes : tuple of str
         Names of effects that are special cases of it. A diagnosis considers it only if it explains
         significantly more than each of them. Default none.
@@ -166,6 +168,7 @@ class Effect(ABC):
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
+    family: ClassVar[str] = ""
     generalizes: ClassVar[tuple[str, ...]] = ()
     told_from: ClassVar[Mapping[str, str]] = {}
 

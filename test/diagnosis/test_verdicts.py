@@ -25,6 +25,7 @@ from parallel_cal.diagnosis.verdict import (
     QUIETER,
     _describe_noise_floor,
     _noise,
+    format_effect_names,
 )
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import format_distinctly
@@ -39,6 +40,19 @@ MODEL = new_model("delta54")
 def test_a_number_outside_its_limits_is_shown_with_the_digits_that_say_so():
     assert format_distinctly([1.1712, 0.85, 1.1708]) == ["1.1712", "0.8500", "1.1708"]
     assert format_distinctly([1.30, 1.17]) == ["1.30", "1.17"]
+
+
+def test_several_smooth_errors_of_a_joints_angle_are_called_that():
+    """Two are named both; of more, one is an example."""
+    discs = ["encoder_eccentricity", "encoder_second_harmonic", "encoder_gain"]
+    words = "a smooth error of the joint's angle, e.g. encoder_eccentricity"
+    assert format_effect_names(discs) == words
+    assert format_effect_names([*discs, "device_axes"]) == f"{words} or device_axes"
+    assert format_effect_names(discs[:2]) == "encoder_eccentricity or encoder_second_harmonic"
+    assert (
+        format_effect_names(["backlash", "hysteresis", "latency"])
+        == "backlash or hysteresis or latency"
+    )
 
 
 # --------------------------------------------------------------------------- where it holds
