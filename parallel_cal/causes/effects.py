@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.unknown_laws import LOG_PRIOR
 from parallel_cal.identification.observations import conditions
@@ -26,7 +27,6 @@ FORMS = 24_000
 # the last digit that it keeps.
 REFINED_TO, KEPT_DIGITS = 1e-3, 1e-4
 DIGITS = 6  # of a scanned number, which a person copies
-EQUAL_EVIDENCE = 4.5  # of the logarithm, three sigmas: two settings fit as well
 
 
 def list_effect_blocks(

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from parallel_cal.base.confidence import EQUAL_EVIDENCE, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.effects import (
     choose_setting,
@@ -18,8 +19,6 @@ from parallel_cal.causes.effects import (
 )
 from parallel_cal.diagnosis.scoring import Score, score
 from parallel_cal.diagnosis.thresholds import (
-    EFFECT_SIGNIFICANCE_LEVEL,
-    EQUAL_FIT_LOG_P,
     MIN_SLOW_CORRELATION,
     MIN_VISIBLE_SIGMAS,
 )
@@ -114,7 +113,7 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
         return _score_larger_model(scene, name, effect, plain)
     special = [c for c in scored if c.name in effect.generalizes and c.score is not None]
     for one in special:
-        if one.log_p > np.log(EFFECT_SIGNIFICANCE_LEVEL):
+        if one.log_p > np.log(SIGNIFICANCE_LEVEL):
             reason = f"not tested: {one.name}, a special case of it, explains nothing"
             return Candidate(name, effect, reason=reason)
     a = conditions(plain, scene.dataset)
@@ -128,7 +127,7 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
     reason = _explain_invisible(highest, len(settings))
     found = Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)
     for one in special:
-        if found.log_p > one.log_p - EQUAL_FIT_LOG_P:
+        if found.log_p > one.log_p - EQUAL_EVIDENCE:
             reason = f"explains no more than {one.name}, a special case of it"
             return Candidate(name, effect, reason=reason)
     return found
@@ -139,7 +138,7 @@ def _explain_invisible(score: Score, tried: int) -> str:
     noise. An effect that the residuals show plainly is visible, however small it usually is."""
     if not score.q:
         return "cannot be seen with this set-up: the geometry absorbs it"
-    shown = score.log_p + np.log(tried) < np.log(EFFECT_SIGNIFICANCE_LEVEL)
+    shown = score.log_p + np.log(tried) < np.log(SIGNIFICANCE_LEVEL)
     if score.size < MIN_VISIBLE_SIGMAS and not shown:
         return f"cannot be seen: at its typical size it makes {score.size:.1g} sigmas"
     return ""

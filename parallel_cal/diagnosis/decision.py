@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
-from parallel_cal.diagnosis.explanation import CREDIBLE, Doubt
+from parallel_cal.diagnosis.explanation import Doubt
 from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.separate import (
     Allowed,
@@ -16,7 +16,7 @@ from parallel_cal.diagnosis.separate import (
     plan_conditions,
     typical_noise,
 )
-from parallel_cal.diagnosis.thresholds import POOL
+from parallel_cal.diagnosis.thresholds import CREDIBLE, POOL
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.model import Model

@@ -22,7 +22,8 @@ from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
-from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
+from parallel_cal.diagnosis.thresholds import CREDIBLE
+from parallel_cal.identification.thresholds import MIN_DOF
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, KNOCK, LAW, Block, Stack
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice
@@ -33,7 +34,6 @@ MAX_LINEARISATIONS = 2
 # Of chi2, between a fit and what the linear problem predicts: in 20 sessions at most 1.5 where a
 # sum about the new geometry gave the same causes, and 6 and 130 where effects were mistaken.
 MAX_LINEAR_ERROR = 2.0
-CREDIBLE = 0.95  # probability that the cause is one of those named for it
 
 
 @dataclass(frozen=True)
@@ -396,7 +396,7 @@ def _find_noise(scene: Scene) -> tuple[float, float]:
     less.
     """
     seen, stated = PureError.of(scene, Field.of(scene)), not scene.observations.noise_assumed
-    v, measured = seen.variance, seen.dof >= MIN_REPLICATE_DOF
+    v, measured = seen.variance, seen.dof >= MIN_DOF
     if v is not None and measured and (not stated or (seen.contradicts_stated_noise and v < 1)):
         return max(v, 1e-12), UNKNOWN
     if stated:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.statistics import bonferroni_minimum, morans_i, runs_test
 from parallel_cal.diagnosis.thresholds import (
-    EFFECT_SIGNIFICANCE_LEVEL,
     LENGTHS,
     LEVELS,
-    MAX_MAP_POSES,
+    MAX_SHOWN_POINTS,
     MIN_VARIATION_RATIO,
     ROUGHNESS,
 )
@@ -40,7 +40,7 @@ class LackOfFit:
 
     @property
     def has_structure(self) -> bool:
-        return self.p_value < EFFECT_SIGNIFICANCE_LEVEL
+        return self.p_value < SIGNIFICANCE_LEVEL
 
     def document(self) -> dict[str, Any]:
         return {
@@ -135,8 +135,8 @@ def smooth_map(scene: Scene, field: Field) -> SmoothMap:
     coordinates = scene.x[:, n : n + 3] if position else scene.x[:, :n]
     places = average_groups(coordinates, group)
     thinned = (
-        np.unique(np.linspace(0, len(e) - 1, MAX_MAP_POSES).astype(int))
-        if len(e) > MAX_MAP_POSES
+        np.unique(np.linspace(0, len(e) - 1, MAX_SHOWN_POINTS).astype(int))
+        if len(e) > MAX_SHOWN_POINTS
         else ...
     )
     e, places = e[thinned], places[thinned]

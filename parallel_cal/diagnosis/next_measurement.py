@@ -17,7 +17,7 @@ from parallel_cal.diagnosis.decision import (
     Undecided,
     plan_decision,
 )
-from parallel_cal.diagnosis.explanation import CREDIBLE, Doubt
+from parallel_cal.diagnosis.explanation import Doubt
 from parallel_cal.diagnosis.region import TOUCH_A_BLOCK, is_touched_at_one_height
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.separate import (
@@ -26,7 +26,7 @@ from parallel_cal.diagnosis.separate import (
     explain_separation,
     schedule_conditions,
 )
-from parallel_cal.diagnosis.thresholds import MAX_PLANNED_POSES, PLAN_REACHES
+from parallel_cal.diagnosis.thresholds import CREDIBLE, MAX_PLANNED_POSES, PLAN_REACHES
 from parallel_cal.model.model import Model
 from parallel_cal.planning.approach import Waypoint
 from parallel_cal.planning.pose_table import format_pose_table

@@ -9,11 +9,12 @@ import numpy as np
 from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.region import is_of_touches
-from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
+from parallel_cal.diagnosis.thresholds import REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.image_poses import IMAGE_SCATTER
 from parallel_cal.identification.observations import SCATTER
+from parallel_cal.identification.thresholds import MIN_DOF
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.replicates import subtract_visits_mean
 
@@ -38,7 +39,7 @@ class PureError:
         """Whether replicates differ significantly from the stated noise."""
         from scipy.special import chdtr, chdtrc
 
-        if self.variance is None or self.dof < MIN_REPLICATE_DOF:
+        if self.variance is None or self.dof < MIN_DOF:
             return False
         squares = self.variance * self.dof
         return bool(
@@ -100,7 +101,7 @@ class NoiseLevel:
                 return cls(1.0, None, f"stated ({', '.join(sorted(sources))})", seen)
             words = f"replicates ({seen.dof} degrees of freedom)"
             return cls(variance, seen.dof, words, seen, variance**0.5)
-        if seen.variance is not None and seen.dof >= MIN_REPLICATE_DOF:
+        if seen.variance is not None and seen.dof >= MIN_DOF:
             words = f"replicates ({seen.dof} degrees of freedom)"
             from_jitter = SCATTER in sources and sources <= {*STATED, SCATTER}
             exceeded = from_jitter and seen.contradicts_stated_noise and seen.variance > 1
@@ -171,7 +172,7 @@ def advise_on_noise(result: FitResult, revisits: int) -> str:
         for kind in result.observations.unknown
     }
     return (
-        f"to learn whether anything is left, {again} {max(MIN_REPLICATE_DOF - revisits, 1)} "
+        f"to learn whether anything is left, {again} {max(MIN_DOF - revisits, 1)} "
         f"{one}s or more a second time, or measure one {one} ten times and state the standard "
         f"deviation in the model file ({' and '.join(sorted(places))}); then diagnose again"
     )

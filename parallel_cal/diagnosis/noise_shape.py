@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.statistics import permutation_p_values
 from parallel_cal.diagnosis.thresholds import (
-    EFFECT_SIGNIFICANCE_LEVEL,
     MIN_INFLATION,
     PERMUTATIONS,
 )
@@ -38,12 +38,12 @@ class NoiseShape:
     @property
     def correlated(self) -> bool:
         """Whether neighbours in time are similar, by enough to matter."""
-        certain = self.correlation_p < EFFECT_SIGNIFICANCE_LEVEL
+        certain = self.correlation_p < SIGNIFICANCE_LEVEL
         return certain and self.inflation > MIN_INFLATION
 
     @property
     def grows_from_centre(self) -> bool:
-        return self.growth_p < EFFECT_SIGNIFICANCE_LEVEL
+        return self.growth_p < SIGNIFICANCE_LEVEL
 
     @property
     def remarks(self) -> list[str]:

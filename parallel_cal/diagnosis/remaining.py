@@ -14,7 +14,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.scoring import deflate, score
-from parallel_cal.diagnosis.thresholds import CONDITION_SIGNIFICANCE_LEVEL
+from parallel_cal.diagnosis.thresholds import CERTAINTY_LEVEL
 from parallel_cal.model.effect import parse_part
 from parallel_cal.posterior.scene import Scene
 
@@ -56,7 +56,7 @@ def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondit
         return None
     name = min(log_p, key=lambda one: log_p[one])
     p_value = min(1.0, float(np.exp(log_p[name])) * len(log_p))
-    return RemainingCondition(name, p_value) if p_value < CONDITION_SIGNIFICANCE_LEVEL else None
+    return RemainingCondition(name, p_value) if p_value < CERTAINTY_LEVEL else None
 
 
 def _iterate_features(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:

@@ -9,14 +9,11 @@ from itertools import product
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.scoring import log_p_of
-from parallel_cal.diagnosis.thresholds import (
-    EFFECT_SIGNIFICANCE_LEVEL,
-    MIN_CHI2_FALL,
-)
 from parallel_cal.identification.checks import (
     ContradictionError,
     WrongSignError,
@@ -221,11 +218,10 @@ def is_superfluous(less: Estimate, more: Estimate) -> bool:
     """Whether the improvement by additional parameters may be chance, by an F test."""
     if less.dof == more.dof:  # a prior holds all of the additional parameters: at best it is one
         F = (less.chi2 - more.chi2) / max(more.chi2_per_dof, 1e-300)
-        chance = log_p_of(max(F, 0.0), 1, max(more.dof, 1)) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
-        return bool(chance or more.chi2 > (1 - MIN_CHI2_FALL) * less.chi2)
+        return bool(log_p_of(max(F, 0.0), 1, max(more.dof, 1)) > np.log(SIGNIFICANCE_LEVEL))
     if less.dof < more.dof or more.dof <= 0:
         return False
-    return improvement_log_p(less, more) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
+    return improvement_log_p(less, more) > np.log(SIGNIFICANCE_LEVEL)
 
 
 def improvement_log_p(less: Estimate, more: Estimate) -> float:

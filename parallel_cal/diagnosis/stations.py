@@ -16,11 +16,11 @@ import numpy as np
 from parallel_cal.causes.effects import find_new_parameters
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.thresholds import (
-    MAX_FIELD_DEGREE,
+    MAX_DEGREE,
     MIN_COLUMN_REMAINDER,
-    MIN_ROWS_PER_FIELD_COLUMN,
+    MIN_RIVAL_SHARE,
     MIN_SEPARATION_SIGMAS,
-    MIN_SHARE_BEYOND_DEVICE,
+    SAMPLES_PER_NUMBER,
 )
 from parallel_cal.identification.stations import has_stations
 from parallel_cal.model.model import Model
@@ -80,8 +80,8 @@ class DeviceField:
         x = (2 * shown - low - high) / np.maximum(high - low, 1e-12)
         degree = max(
             d
-            for d in range(1, MAX_FIELD_DEGREE + 1)
-            if d == 1 or len(along) * comb(d + 3, 3) * MIN_ROWS_PER_FIELD_COLUMN <= along[0].size
+            for d in range(1, MAX_DEGREE + 2)
+            if d == 1 or len(along) * comb(d + 3, 3) * SAMPLES_PER_NUMBER <= along[0].size
         )
         powers = [p for p in product(range(degree + 1), repeat=3) if sum(p) <= degree]
         terms = [np.prod(x**p, axis=1) for p in powers]
@@ -93,7 +93,7 @@ class DeviceField:
         imitates a signal (n,)."""
         s = signal - directions @ (directions.T @ signal)
         left = self._remove(s, directions)
-        return float(left @ left) > MIN_SHARE_BEYOND_DEVICE * max(float(s @ s), 1e-300)
+        return float(left @ left) > (1 - MIN_RIVAL_SHARE) * max(float(s @ s), 1e-300)
 
     def gain(self, residual: np.ndarray, signal: np.ndarray, directions: np.ndarray) -> float:
         """By how much a signal (n,), in the size that fits best, lowers the sum of squares of a

@@ -9,7 +9,6 @@ import numpy as np
 from parallel_cal.diagnosis.thresholds import (
     ENOUGH_COPIES,
     MIN_PERMUTATION_P,
-    MIN_SIGNS_PER_SIDE,
     NEIGHBOURS,
     PERMUTATIONS,
 )
@@ -93,7 +92,7 @@ def runs_test(series: np.ndarray) -> float:
         sign = column > np.median(column)
         n1, n2 = int(sign.sum()), int((~sign).sum())
         n = n1 + n2
-        if min(n1, n2) < MIN_SIGNS_PER_SIDE:
+        if not (n1 and n2):
             continue
         expected = 1 + 2 * n1 * n2 / n
         excess += 1 + np.count_nonzero(sign[1:] != sign[:-1]) - expected

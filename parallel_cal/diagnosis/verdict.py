@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
@@ -22,11 +23,9 @@ from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.diagnosis.search import Trial, ratio_of
 from parallel_cal.diagnosis.thresholds import (
     CERTAINTY_LEVEL,
+    CREDIBLE,
     MAX_ERROR_TO_NOISE_RATIO,
-    MAX_EXCESS_SIGMAS,
-    MAX_HELD_COORDINATE_SIGMAS,
     MAX_SWAP_ERROR_RATIO,
-    MIN_DOF,
     MIN_EXPLAINED_SHARE,
     MIN_FAMILY_MEMBERS,
 )
@@ -35,6 +34,7 @@ from parallel_cal.identification.acceptance import acceptance, format_errors
 from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.identification.thresholds import MAX_HELD_ERROR_RATIO, MIN_DOF
 from parallel_cal.model.shelf import load_effect
 
 NO_NOISE = (
@@ -43,7 +43,6 @@ NO_NOISE = (
 )
 QUIETER = "the noise is smaller than stated, as where a pose is the mean of many messages"
 NOT_IN_CATALOGUE = "An effect is missing that the catalogue does not describe"
-CERTAIN = 0.95  # probability above which an effect is named whatever is known of the noise
 # Verdicts that leave an error which no effect of the catalogue describes.
 UNEXPLAINED_VERDICTS = ("unexplained", "partly_explained", "cannot_know")
 # Verdicts that find the model incomplete.
@@ -223,7 +222,7 @@ def _judge(found: Findings) -> Verdict:
         verb = "help" if len(found.best.chosen) > 1 else "helps"
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
         rest = ", but the residuals still have structure" if found.structure.has_structure else ""
-        known = max(found.probability.values(), default=0.0) > CERTAIN
+        known = max(found.probability.values(), default=0.0) > CREDIBLE
         touched = is_of_touches(found.best.fitted.dataset)
         return Verdict(
             "partly_explained" if known else "cannot_know",
@@ -231,7 +230,7 @@ def _judge(found: Findings) -> Verdict:
             share,
             remarks=(NO_NOISE.format(again="touch points" if touched else "visit poses"),),
         )
-    if found.held > MAX_HELD_COORDINATE_SIGMAS:
+    if found.held > MAX_HELD_ERROR_RATIO:
         return Verdict(
             "unexplained",
             "the measured pose includes coordinates that the model holds at one value: use a "
@@ -292,9 +291,9 @@ def _list_objections(found: Findings) -> list[str]:
     """List what keeps the found effects from being the whole explanation."""
     against, chi2, share = [], found.final_estimate.chi2_per_dof, found.share
     high, structure = found.noise.band(found.final_estimate.dof)[1], found.structure
-    # Within two sigmas a small excess is mostly chance: its share means nothing.
+    # A small excess is mostly chance: its share means nothing.
     noise, sigma = found.noise.variance or 0.0, found.noise.compute_sigma(found.final_estimate.dof)
-    beyond_chance = chi2 > noise * (1 + MAX_EXCESS_SIGMAS * sigma)
+    beyond_chance = chi2 > noise * (1 + SIGMAS_AT_SIGNIFICANCE_LEVEL * sigma)
     if share is not None and share < MIN_EXPLAINED_SHARE and beyond_chance:
         against.append(
             f"that is only {100 * max(share, 0):.0f} % of the error above the noise floor"

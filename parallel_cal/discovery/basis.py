@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from parallel_cal.diagnosis.thresholds import MAX_DEGREE
 from parallel_cal.discovery.drivers import Driver
 from parallel_cal.discovery.thresholds import (
-    MAX_DEGREE,
     MIN_SAMPLES_PER_PERIOD,
     WAVES,
 )
-
-DEGREE = 3  # of the splines
 
 
 def splines(drivers: Sequence[Driver], count: int) -> np.ndarray:
@@ -27,12 +25,12 @@ def splines(drivers: Sequence[Driver], count: int) -> np.ndarray:
     values = np.array([one.values for one in drivers])
     if drivers[0].few_values:
         return _polynomials(values, count - 1)
-    inner = np.quantile(values, np.linspace(0, 1, count - DEGREE + 1))
+    inner = np.quantile(values, np.linspace(0, 1, count - MAX_DEGREE + 1))
     inner = np.unique(inner)
-    knots = np.r_[[inner[0]] * DEGREE, inner, [inner[-1]] * DEGREE]
+    knots = np.r_[[inner[0]] * MAX_DEGREE, inner, [inner[-1]] * MAX_DEGREE]
     out = np.zeros((*values.shape, count))
     for rows, own in zip(out, values, strict=True):
-        design = BSpline.design_matrix(own, knots, DEGREE).toarray()
+        design = BSpline.design_matrix(own, knots, MAX_DEGREE).toarray()
         rows[:, : design.shape[1]] = design
     return out
 

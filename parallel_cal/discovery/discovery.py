@@ -19,7 +19,6 @@ from parallel_cal.diagnosis.columns import check_fitted, naming_wrong_columns
 from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.stations import DeviceField, find_stations
-from parallel_cal.diagnosis.thresholds import MAX_HELD_COORDINATE_SIGMAS
 from parallel_cal.discovery.drivers import (
     Driver,
     list_drivers,
@@ -36,10 +35,10 @@ from parallel_cal.discovery.places import (
 from parallel_cal.discovery.proof import Proof, prove_all
 from parallel_cal.discovery.screening import Screening
 from parallel_cal.discovery.search import Search, Winner, find_thresholds, find_winners
-from parallel_cal.discovery.thresholds import MAX_SCREENED_SAMPLES
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions
+from parallel_cal.identification.thresholds import ENOUGH_SAMPLES, MAX_HELD_ERROR_RATIO
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import join_words
@@ -180,7 +179,7 @@ def _make_scene(base: FitResult, given: Dataset) -> tuple[Scene, Dataset]:
     """The residuals to screen, of all samples or of evenly chosen ones of very many, and these
     samples as they were given: before a fit moved them into one frame of the device."""
     n = len(base.dataset)
-    some = np.unique(np.linspace(0, n - 1, min(n, MAX_SCREENED_SAMPLES)).astype(int))
+    some = np.unique(np.linspace(0, n - 1, min(n, ENOUGH_SAMPLES)).astype(int))
     scene = Scene.of(
         base.model, base.dataset.select(some), base.observations.select(some), base.free
     )
@@ -215,7 +214,7 @@ def _conclude(
     summary = " ".join(words)
     if any(law.device_may_err for law in suspected):
         advice = [*advice, A_STATION]
-    needs_larger_model = held > MAX_HELD_COORDINATE_SIGMAS
+    needs_larger_model = held > MAX_HELD_ERROR_RATIO
     if needs_larger_model:
         summary = f"{_explain_larger_model(model, held)} {summary}"
     return Discovery(

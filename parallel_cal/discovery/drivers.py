@@ -12,13 +12,10 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, dense
-from parallel_cal.diagnosis.thresholds import MIN_SLOW_CORRELATION
+from parallel_cal.diagnosis.thresholds import LEVELS, MIN_SLOW_CORRELATION, SAMPLES_PER_NUMBER
 from parallel_cal.discovery.places import DEVICE, JOINT, ROD
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
-    MAX_LEVELS,
-    MIN_SAMPLES_PER_LAG,
-    MIN_VARIATION,
 )
 from parallel_cal.effects._legs import leg_inclinations, needs_legs
 from parallel_cal.effects._lines import line_stretches, needs_hanging_lines
@@ -31,6 +28,7 @@ from parallel_cal.effects._statics import (
     rod_forces,
     rods,
 )
+from parallel_cal.identification.thresholds import ROUNDING
 from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag, parse_part
 from parallel_cal.model.parameters import Named
 from parallel_cal.posterior.scene import Scene
@@ -125,13 +123,13 @@ def name_lags(dataset: Dataset) -> list[str]:
     """Name the temperature with time constants (s) between a few samples and the recording's
     length, evenly in their logarithm; none if the temperature hardly changes."""
     known = dataset.conditions
-    if not {"temperature", "time"} <= set(known) or np.ptp(known["temperature"]) <= MIN_VARIATION:
+    if not {"temperature", "time"} <= set(known) or np.ptp(known["temperature"]) <= ROUNDING:
         return []
     steps = np.diff(np.sort(known["time"]))
     steps, span = steps[steps > 0], float(np.ptp(known["time"]))
     if not len(steps):
         return []
-    first = MIN_SAMPLES_PER_LAG * float(np.median(steps))
+    first = SAMPLES_PER_NUMBER * float(np.median(steps))
     octaves = np.floor(np.log2(max(span / first, 1.0)))
     lags = first * 2.0 ** (np.arange(LAGS_PER_OCTAVE * octaves + 1) / LAGS_PER_OCTAVE)
     names = dict.fromkeys(f"temperature.lag{lag:.0f}" for lag in lags)
@@ -167,7 +165,7 @@ class Driver:
 
     @property
     def few_values(self) -> bool:
-        return len(np.unique(self.values)) <= MAX_LEVELS
+        return len(np.unique(self.values)) <= LEVELS
 
     @property
     def range(self) -> tuple[float, float]:
@@ -204,7 +202,7 @@ def list_drivers(scene: Scene) -> list[Driver]:
     known_order = "time" in scene.dataset.conditions
     found = []
     for one in chain.from_iterable(source(scene) for source in SOURCES):
-        if np.isfinite(one.values).all() and np.ptp(one.values) > MIN_VARIATION:
+        if np.isfinite(one.values).all() and np.ptp(one.values) > ROUNDING:
             away = one.values[order] - one.values[order].mean()
             correlated = bool(away[1:] @ away[:-1] > MIN_SLOW_CORRELATION * (away @ away))
             slow = known_order and correlated
@@ -219,7 +217,7 @@ def list_shown_positions(shown: np.ndarray) -> list[Driver]:
     columns["radius"] = distance, np.hypot(shown[:, 0], shown[:, 1])
     found = []
     for name, (code, values) in columns.items():
-        if np.ptp(values) > MIN_VARIATION:
+        if np.ptp(values) > ROUNDING:
             middle = 0.0 if name == "radius" else _round_middle(values)
             own = f"device.{name}"
             found.append(Driver(own, name, "m", code, values - middle, middle, owner=DEVICE))
@@ -351,7 +349,7 @@ def compute_moments(scene: Scene) -> dict[int, np.ndarray]:
     None if the payload is unknown, or constant: it is then a function of the position.
     """
     payload, n = scene.dataset.conditions.get(PAYLOAD), len(scene.model.joints)
-    if payload is None or np.ptp(payload) <= MIN_VARIATION:
+    if payload is None or np.ptp(payload) <= ROUNDING:
         return {}
     weight = payload[:, None] * np.array(scene.model.mechanism.gravity)
     moments = np.cross(scene.seen[:, n : n + 3], weight)

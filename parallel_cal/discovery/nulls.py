@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.noise_shape import NoiseShape, noise_shape
-from parallel_cal.discovery.thresholds import (
-    MAX_CORRELATION_P,
-    MAX_FALSE_LAW_SHARE,
-    MAX_OUTLIER_P,
-)
+from parallel_cal.diagnosis.thresholds import CREDIBLE, OUTLIER_SIGNIFICANCE_LEVEL
 from parallel_cal.posterior.scene import Scene
 
 MEMORIES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # of noise, in steps between samples
@@ -36,7 +33,7 @@ def characterise_noise(scene: Scene, residual: np.ndarray) -> Noise:
     places = scene.places
     shape = noise_shape(_by_sensor(scene, residual), scene.dataset.time, places)
     growth = np.ones(len(places))
-    if shape.growth_p < MAX_CORRELATION_P and shape.growth > 1:
+    if shape.growth_p < 1 - CREDIBLE and shape.growth > 1:
         # Linear in the distance from the centre, of mean square one.
         away = np.linalg.norm(places - places.mean(axis=0), axis=1)
         size = np.sqrt(np.mean(scene.by_sample(residual) ** 2, axis=1))
@@ -47,10 +44,10 @@ def characterise_noise(scene: Scene, residual: np.ndarray) -> Noise:
     k = np.maximum(scene.informative, 1)
     scale = np.median(squares / np.maximum(k - 2 / 3, 0.3))
     p = chdtrc(k, squares / max(scale, 1e-300)) * len(squares)
-    outliers = np.sqrt(squares / (k * max(scale, 1e-300)))[p < MAX_OUTLIER_P]
+    outliers = np.sqrt(squares / (k * max(scale, 1e-300)))[p < OUTLIER_SIGNIFICANCE_LEVEL]
     known_order = "time" in scene.dataset.conditions
     memory = 0.0
-    if known_order and shape.correlation_p < MAX_CORRELATION_P:
+    if known_order and shape.correlation_p < 1 - CREDIBLE:
         memory = _match_memory(scene, shape, growth)
     return Noise(memory, growth, outliers)
 
@@ -89,8 +86,8 @@ def compute_threshold(maxima: np.ndarray) -> float:
     no less than theirs."""
     deviation = float(np.std(maxima)) * 6**0.5 / np.pi
     mode = float(np.mean(maxima)) - np.euler_gamma * deviation
-    fitted = mode - deviation * float(np.log(-np.log1p(-MAX_FALSE_LAW_SHARE)))
-    return max(fitted, float(np.quantile(maxima, 1 - MAX_FALSE_LAW_SHARE)))
+    fitted = mode - deviation * float(np.log(-np.log1p(-SIGNIFICANCE_LEVEL)))
+    return max(fitted, float(np.quantile(maxima, 1 - SIGNIFICANCE_LEVEL)))
 
 
 def _noise_maps(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

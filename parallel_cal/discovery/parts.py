@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.formula import Formula, build_columns
 from parallel_cal.discovery.places import DEVICE
 from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
-from parallel_cal.discovery.thresholds import MAX_EQUAL_EVIDENCE, MIN_TERM_EVIDENCE
 
 MAX_ROUNDS = 10  # of exchanges; each makes the data likelier, so that few are needed
 MIN_EXCHANGE_EVIDENCE = 1.0  # log of how much likelier a place makes the data than the more usual
@@ -58,7 +58,7 @@ def find_parts(
         number, _ = choice.find_best(chosen)
         trial = choice.exchange([*chosen, number])
         gained = choice.judge(trial)
-        if gained < best + MIN_TERM_EVIDENCE:
+        if gained < best + EQUAL_EVIDENCE:
             break
         chosen, best = trial, gained
     return Parts(choice.list_parts(chosen), best) if len(chosen) > 1 else None
@@ -129,7 +129,7 @@ class _Choice:
             equal = [
                 self._write_beside(others, other)
                 for other in range(len(self._hypotheses))
-                if other not in chosen and self.judge([*others, other]) > whole - MAX_EQUAL_EVIDENCE
+                if other not in chosen and self.judge([*others, other]) > whole - EQUAL_EVIDENCE
             ]
             equal.sort(key=lambda one: one.preference)
             parts.append(Part(formula, tuple(equal)))

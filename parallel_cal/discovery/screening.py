@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.parallel import Runner, run_on_cores, running
-from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
+from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER, SAMPLES_PER_NUMBER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (
     AXIS,
@@ -34,7 +34,6 @@ from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFO
 from parallel_cal.discovery.thresholds import (
     FINE_SPLINES,
     MAX_CHUNK_NUMBERS,
-    MIN_SAMPLES_PER_FINE_SPLINE,
     SPLINES,
 )
 from parallel_cal.posterior.scene import Scene
@@ -215,7 +214,7 @@ class Screening:
         if site.kind != JOINT:
             return
         turning = [own for own in sets if own[0].family in (READING, NEXT, PREVIOUS)]
-        if self._n >= MIN_SAMPLES_PER_FINE_SPLINE * FINE_SPLINES:
+        if self._n >= SAMPLES_PER_NUMBER * FINE_SPLINES:
             own_joint = [
                 own
                 for own in turning

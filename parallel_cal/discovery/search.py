@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import EQUAL_EVIDENCE, SIGNIFICANCE_LEVEL
 from parallel_cal.base.parallel import Runner, run_on_cores, running
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.stations import DeviceField
+from parallel_cal.diagnosis.thresholds import MIN_RIVAL_SHARE
 from parallel_cal.discovery.drivers import (
     LAGGED,
     Driver,
@@ -23,15 +25,11 @@ from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
 from parallel_cal.discovery.selection import find_formula
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
-    MAX_EQUAL_EVIDENCE,
-    MAX_EQUAL_MEMBERS_P,
     MAX_FORMULA_LAG,
     MAX_FORMULAS,
     MAX_LAWS,
     MAX_SIMPLER_EVIDENCE,
-    MAX_SPLITS,
-    MIN_RIVAL_EVIDENCE_SHARE,
-    MIN_TERM_EVIDENCE,
+    MAX_TERMS,
     NULL_SESSIONS,
 )
 from parallel_cal.posterior.scene import Scene
@@ -78,7 +76,7 @@ class Winner:
             )
             for one in self.parts
         ]
-        return [(self, threshold), *((one, MIN_TERM_EVIDENCE) for one in parts)]
+        return [(self, threshold), *((one, EQUAL_EVIDENCE) for one in parts)]
 
 
 @dataclass(frozen=True)
@@ -200,7 +198,7 @@ def find_rival(
     happen to be the better one.
     """
     if hypothesis.site.kind == DEVICE:
-        limit = MIN_RIVAL_EVIDENCE_SHARE * scored[0][0]
+        limit = MIN_RIVAL_SHARE * scored[0][0]
         return next((one for e, one in scored if e >= limit and one.site.kind != DEVICE), None)
     drivers = {*hypothesis.families}
     for _, one in scored:
@@ -219,7 +217,7 @@ def sort_by_preference(formulas: Sequence[Formula]) -> list[Formula]:
     error of the robot.
     """
     best = max(one.evidence for one in formulas)
-    equal = [one for one in formulas if one.evidence >= best - MAX_EQUAL_EVIDENCE]
+    equal = [one for one in formulas if one.evidence >= best - EQUAL_EVIDENCE]
     equal.sort(key=lambda one: one.preference)
     alike = [one for one in equal if one.quantities == equal[0].quantities]
     limit = max(one.evidence for one in alike) - MAX_SIMPLER_EVIDENCE
@@ -242,17 +240,17 @@ def _find_parts(search: Search, best: _Best, limit: int) -> Parts | None:
     drivers = formula.hypothesis.drivers
     if formula.hypothesis.site.kind == DEVICE:
         return None
-    evidence, found = formula.evidence - MAX_EQUAL_EVIDENCE, None
+    evidence, found = formula.evidence - EQUAL_EVIDENCE, None
     if len(drivers) == 1:
         found = find_parts(targets, formula, list_hypotheses(drivers[0][0]), limit)
-        evidence = (found or formula).evidence + MAX_EQUAL_EVIDENCE
+        evidence = (found or formula).evidence + EQUAL_EVIDENCE
     for own in drivers:
         begin = [
             one
             for _, one in best.scored
             if len(one.drivers) == 1 and one.uses(own[0]) and one.site.kind != DEVICE
         ]
-        for one in begin[:MAX_SPLITS]:
+        for one in begin[:MAX_TERMS]:
             start = find_formula(targets, one)
             if start is None:
                 continue
@@ -297,7 +295,7 @@ def refine_members(targets: Targets, formula: Formula, screening: Screening) -> 
         return own if gained > 0 else formula
     # The evidence without what it subtracts for each coefficient: twice of it is chi2 by chance.
     fall = 2 * gained + added * np.log(targets.dof)
-    return own if chdtrc(added, max(fall, 0.0)) < MAX_EQUAL_MEMBERS_P else formula
+    return own if chdtrc(added, max(fall, 0.0)) < SIGNIFICANCE_LEVEL else formula
 
 
 def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:
@@ -316,7 +314,7 @@ def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hyp
         if one.key in seen:
             continue
         alone = max(single.get((*one.site.key, (own,)), -np.inf) for own in one.families)
-        if len(one.drivers) == 2 and e < alone + MAX_EQUAL_EVIDENCE:
+        if len(one.drivers) == 2 and e < alone + EQUAL_EVIDENCE:
             continue
         seen.add(one.key)
         chosen.append(one)

@@ -8,14 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
+from parallel_cal.base.confidence import EQUAL_EVIDENCE
+from parallel_cal.diagnosis.thresholds import CREDIBLE, MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.formula import Formula, build_columns
 from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
 from parallel_cal.discovery.term_groups import Group, iterate_groups, scan_steps, with_constants
 from parallel_cal.discovery.thresholds import (
     MAX_TERMS,
-    MIN_SIGN_SHARE,
-    MIN_TERM_EVIDENCE,
     REDRAWS,
 )
 
@@ -207,7 +206,7 @@ class Selection:
         chosen: list[int] = []
         while len(chosen) < MAX_TERMS:
             number, gain = self._find_best(chosen)
-            if number is None or gain < MIN_TERM_EVIDENCE:
+            if number is None or gain < EQUAL_EVIDENCE:
                 break
             chosen.append(self._refine(number, chosen))
         return chosen
@@ -276,7 +275,7 @@ class Selection:
             without = [[n for n in chosen if n != g] for g in chosen]
             evidences = [self.judge(own) for own in without]
             k = int(np.argmax(evidences))
-            if whole - evidences[k] >= MIN_TERM_EVIDENCE:
+            if whole - evidences[k] >= EQUAL_EVIDENCE:
                 break
             chosen = without[k]
         return chosen
@@ -322,7 +321,7 @@ def _find_unstable(search: Selection, chosen: Sequence[int]) -> int | None:
         G = np.tensordot(count, grams, axes=1)
         found.append(np.linalg.pinv(G[:k, :k], rcond=1e-9, hermitian=True) @ G[:k, k])
     signs = np.abs(np.mean(np.sign(found), axis=0))
-    start, worst, least = 0, None, 2 * MIN_SIGN_SHARE - 1
+    start, worst, least = 0, None, 2 * CREDIBLE - 1
     for number in chosen:
         width = len(search.build([number]).scale)
         stable = float(np.max(signs[start : start + width]))

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
+from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER, SAMPLES_PER_NUMBER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.formula import Formula
-from parallel_cal.discovery.thresholds import MIN_SAMPLES_PER_FINE_SPLINE, SPLINES
+from parallel_cal.discovery.thresholds import SPLINES
 from parallel_cal.posterior.scene import Scene
 
 # Of the law: what its best splines miss of it. A picture does not show less than the first share;
@@ -51,7 +51,7 @@ def find_shape(scene: Scene, formula: Formula) -> Shape | None:
         for m in members
     ]
     law = np.concatenate(values)
-    count, most = SPLINES, max(len(law) // MIN_SAMPLES_PER_FINE_SPLINE, SPLINES)
+    count, most = SPLINES, max(len(law) // SAMPLES_PER_NUMBER, SPLINES)
     while True:
         W = basis.splines(own, count)
         used = np.any(W != 0, axis=(0, 1))

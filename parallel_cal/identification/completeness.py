@@ -8,15 +8,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.identification.thresholds import (
-    FRAME_UNIT,
-    MAX_CLOSED_RESIDUAL_M,
-    MIN_INDEPENDENT_SINGULAR_VALUE,
-    PART_OF_TRAVEL,
-)
-from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.identification.thresholds import ROUNDING
+from parallel_cal.kinematics.kinematics import MAX_CLOSED_RESIDUAL_M, Kinematics
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
+
+PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home: where poses are drawn
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ def frame_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
     base = np.block([[np.broadcast_to(np.eye(3), R.shape), lever], [zero, zero + np.eye(3)]])
     platform = np.block([[R, zero], [zero, R]])
     moved, length = model.mechanism.moved, model.mechanism.length
-    unit = FRAME_UNIT * np.array([1, 1, 1, *(3 * [1 / length])])[moved]
+    unit = np.array([1, 1, 1, *(3 * [1 / length])])[moved]
     columns = [J_x @ motion[:, :, moved] * unit for motion in (base, platform)]
     return np.concatenate(np.concatenate(columns, axis=2))
 
@@ -140,7 +137,7 @@ def rank(J: np.ndarray) -> int:
     felt = size > 1e-12 * size.max(initial=0.0)
     scaled = J[:, felt] / size[felt]
     values = np.linalg.svd(scaled, compute_uv=False)
-    return int(np.sum(values > MIN_INDEPENDENT_SINGULAR_VALUE * values[0])) if len(values) else 0
+    return int(np.sum(values > ROUNDING * values[0])) if len(values) else 0
 
 
 def _blocks(model: Model, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

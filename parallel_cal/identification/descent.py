@@ -18,9 +18,8 @@ from parallel_cal.identification.estimate import (
 from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.thresholds import (
-    MAX_DIRECTION_CHOICES,
-    STALLED_GAIN,
-    STALLED_ITERATIONS,
+    MAX_REPETITIONS,
+    UNSEEN_CHANGE,
 )
 from parallel_cal.model.model import Model
 
@@ -123,7 +122,7 @@ def minimise(
         if (k > 0 and here.normal.has_converged) or last or ends or _gain_nothing(costs):
             seen = sought.compute_spectrum(here.system)
             better = sought.make_knowledge(here.system, seen)
-            if ends or choices >= MAX_DIRECTION_CHOICES or known.is_close_to(better):
+            if ends or choices >= MAX_REPETITIONS or known.is_close_to(better):
                 values = here.values.copy()
                 values[free] += here.normal.step(0.0)[0] if last else 0.0
                 found = make_estimate(sought, values, here.system, k, seen)
@@ -152,9 +151,9 @@ def minimise(
 
 def _gain_nothing(costs: list[float]) -> bool:
     """Whether the last steps gained almost nothing: the minimum is reached, even if it is flat."""
-    if len(costs) <= STALLED_ITERATIONS:
+    if len(costs) <= MAX_REPETITIONS:
         return False
-    return costs[-STALLED_ITERATIONS - 1] - costs[-1] < STALLED_GAIN * costs[-1]
+    return costs[-MAX_REPETITIONS - 1] - costs[-1] < UNSEEN_CHANGE * costs[-1]
 
 
 def make_estimate_at(

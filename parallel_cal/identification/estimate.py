@@ -12,10 +12,9 @@ from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.identification.thresholds import (
-    CONVERGED_GAIN,
-    CONVERGED_STEP,
-    UNSEEN_GAIN,
-    VARIANCE_STEPS,
+    REWEIGHTINGS,
+    ROUNDING,
+    UNSEEN_CHANGE,
 )
 from parallel_cal.model.model import Model
 
@@ -108,7 +107,7 @@ class EstimationProblem:
         scale = self.model.table.prior_sigma[self.free]
         size = np.linalg.eigvalsh(system.normal * np.outer(scale, scale)).clip(0)
         rows, chi2, variance = float(system.informative.sum()), max(system.chi2, 1e-300), 0.0
-        for _ in range(VARIANCE_STEPS):
+        for _ in range(REWEIGHTINGS):
             taken = np.sum(size / np.maximum(size + variance, 1e-300))
             if rows - taken < 1 and variance > 0:
                 return 1.0
@@ -139,15 +138,15 @@ class NormalEquations:
     def will_converge(self, promised: float) -> bool:
         """Whether nothing is left to gain after the next step, if it leaves the same share of the
         gain as the last step did, which promised the gain `promised`."""
-        return self.step(0.0)[1] ** 2 < UNSEEN_GAIN * promised * self._chi2
+        return self.step(0.0)[1] ** 2 < UNSEEN_CHANGE * promised * self._chi2
 
     @property
     def has_converged(self) -> bool:
         """Whether nothing is left to gain, by the undamped step: a damped one may be short far from
         the minimum."""
         step, left = self.step(0.0)
-        short = np.max(np.abs(step / self._tolerance), initial=0.0) < CONVERGED_STEP
-        return bool(short or left < CONVERGED_GAIN * self._chi2)
+        short = np.max(np.abs(step / self._tolerance), initial=0.0) < ROUNDING
+        return bool(short or left < ROUNDING * self._chi2)
 
 
 def make_estimate(

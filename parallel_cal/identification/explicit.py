@@ -12,8 +12,8 @@ from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
     MIN_DIRECT_SINGULAR_VALUE_RATIO,
-    MIN_INVERSE_SINGULAR_VALUE_RATIO,
     NEWTON_STEP,
+    RELATIVE_RANK,
 )
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
@@ -46,7 +46,7 @@ class Prediction:
         measured = self._closure.blocks(model.values, observations.x)[1]
         both = np.stack([solved, measured])[:, :, :, self.unknown] / self._scale
         size = np.linalg.svd(both, compute_uv=False)[:, :, -1].min(axis=0)
-        ratio = MIN_DIRECT_SINGULAR_VALUE_RATIO if direct else MIN_INVERSE_SINGULAR_VALUE_RATIO
+        ratio = MIN_DIRECT_SINGULAR_VALUE_RATIO if direct else RELATIVE_RANK
         used = np.asarray(ok & (size > ratio * size.max()))
         if not used.any():
             raise FitError("the starting model solves no sample: is it of the right robot?")

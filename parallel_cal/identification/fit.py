@@ -82,9 +82,7 @@ from parallel_cal.identification.registration import (
     shows_pose,
 )
 from parallel_cal.identification.set_up import place_set_up
-from parallel_cal.identification.thresholds import (
-    MAX_REGION_SAMPLES,
-)
+from parallel_cal.identification.thresholds import ENOUGH_SAMPLES
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.identification.update import DRIFT_SCALES, Drift, log_evidence, update_prior
 from parallel_cal.model.model import Model
@@ -195,8 +193,8 @@ class FitResult(ShownInNotebook):
     def region(self) -> IdentifiedRegion:
         """The region of the samples: beyond it neither model nor validation error is proven."""
         seen = self.observations
-        if len(seen) > MAX_REGION_SAMPLES:
-            seen = seen.select(np.linspace(0, len(seen) - 1, MAX_REGION_SAMPLES).astype(int))
+        if len(seen) > ENOUGH_SAMPLES:
+            seen = seen.select(np.linspace(0, len(seen) - 1, ENOUGH_SAMPLES).astype(int))
         joints = self.observations.x[:, : len(self.model.joints)]
         position = predict_positions(self.model, seen)
         return IdentifiedRegion.of_samples(self.model, joints, position, self.observations.a)

@@ -18,11 +18,11 @@ from parallel_cal.identification.observations import (
 )
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import (
-    MAX_HELD_ERROR_TO_NOISE_RATIO,
+    MAX_HELD_ERROR_RATIO,
     MAX_MOVED_TOLERANCES,
     MAX_NAMED_DIRECTIONS,
     MAX_NAMED_WEAK_DIRECTIONS,
-    MIN_DOF_TO_JUDGE,
+    MIN_DOF,
     MIN_TRUSTED_WEIGHT,
 )
 from parallel_cal.model.model import Model
@@ -184,7 +184,7 @@ def list_held_coordinate_warnings(
         if error is None or any(i in model.mechanism.moved for i in part):
             continue
         floor = noise().rms(kind)
-        if floor is not None and error > MAX_HELD_ERROR_TO_NOISE_RATIO * floor:
+        if floor is not None and error > MAX_HELD_ERROR_RATIO * floor:
             words.append(
                 f"the {kind} error is {error / floor:.0f} times its noise, but "
                 f"{model.mechanism.name} holds the {kind} at one value: a larger "
@@ -244,7 +244,7 @@ def leaves_only_noise(model: Model, estimate: Estimate, observations: Observatio
     low, high = chi2_band(estimate.dof)
     return (
         not (model.effects or observations.noise_assumed)
-        and estimate.dof >= MIN_DOF_TO_JUDGE
+        and estimate.dof >= MIN_DOF
         and low <= estimate.chi2_per_dof <= high
     )
 

@@ -19,9 +19,9 @@ from parallel_cal.base.rotation import (
     turns_from_mean,
 )
 from parallel_cal.identification.thresholds import (
-    LSTSQ_RANK_TOLERANCE,
+    MIN_OUTLIER_RATIO,
     NEWTON_STEP,
-    OUTLIER_DISTANCE_RATIO,
+    ROUNDING,
 )
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
 
@@ -121,12 +121,12 @@ class PosePairs:
         ends = [self.descend(start, everything) for start in self._starts()]
         best = min(ends, key=lambda end: float(np.median(self._sizes(end))))
         sizes = self._sizes(best)
-        return self.descend(best, sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used]))
+        return self.descend(best, sizes <= MIN_OUTLIER_RATIO * np.median(sizes[self._used]))
 
     def find_near(self, frames: Frames) -> Array:
         """Indices of the measured poses without those that are far off with these frames."""
         sizes = self._sizes(frames)
-        near = sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used])
+        near = sizes <= MIN_OUTLIER_RATIO * np.median(sizes[self._used])
         return np.flatnonzero(near & self._used)
 
     def start_of_device(self) -> Frames:
@@ -220,7 +220,7 @@ class PosePairs:
             residual = self._residual(frames)[used].ravel()
             J = self._jacobian(frames)[used].reshape(len(residual), 12)
             J = J if free is None else J * free
-            step = -np.linalg.lstsq(J, residual, rcond=LSTSQ_RANK_TOLERANCE)[0]
+            step = -np.linalg.lstsq(J, residual, rcond=ROUNDING)[0]
             frames = frames.moved(np.clip(step, -1, 1))
             if np.abs(step).max() < NEWTON_STEP:
                 break
@@ -267,7 +267,7 @@ class PosePairs:
                 for i in range(3):
                     A[:, i, 3 * i : 3 * i + 3] = theirs
                 A[:, :, 9:12], A[:, :, 12:] = np.eye(3), -R
-                found = np.linalg.lstsq(A.reshape(-1, 15), ours.ravel(), rcond=LSTSQ_RANK_TOLERANCE)
+                found = np.linalg.lstsq(A.reshape(-1, 15), ours.ravel(), rcond=ROUNDING)
                 starts.append(self._from_positions(found[0][12:]))
         if self.turns and self._fully_turned.sum() >= 3:
             R, seen = self.R[self._fully_turned], self.seen_R[self._fully_turned]
@@ -289,9 +289,9 @@ class PosePairs:
         H = (ours - ours.mean(axis=0)).T @ theirs
         # Points on a line leave a turn about it open: it stays as the model has it.
         U, sizes, V = np.linalg.svd(H)
-        unknown = sizes <= LSTSQ_RANK_TOLERANCE * sizes[0]
+        unknown = sizes <= ROUNDING * sizes[0]
         P, Q = U[:, unknown] @ U[:, unknown].T, V[unknown].T @ V[unknown]
-        open_turn = LSTSQ_RANK_TOLERANCE * sizes[0] * (P @ self.now.F @ Q)
+        open_turn = ROUNDING * sizes[0] * (P @ self.now.F @ Q)
         return self._complete_frames(nearest_rotation(H + open_turn), t)
 
     def _complete_frames(self, F: Array, t: Array | None = None) -> Frames:
@@ -306,4 +306,4 @@ class PosePairs:
         linear = np.repeat([True, False, t is None, False], 3)
         J = (self._jacobian(start) * linear)[:, :3].reshape(-1, 12)
         away = self._residual(start)[:, :3].ravel()
-        return start.moved(-np.linalg.lstsq(J, away, rcond=LSTSQ_RANK_TOLERANCE)[0])
+        return start.moved(-np.linalg.lstsq(J, away, rcond=ROUNDING)[0])

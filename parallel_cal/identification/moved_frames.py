@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.base.units import MM
 from parallel_cal.identification.frames import Frames, PosePairs
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
-from parallel_cal.identification.thresholds import LSTSQ_RANK_TOLERANCE, MIN_CLEAR_BIC_GAIN
+from parallel_cal.identification.thresholds import ROUNDING
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 
@@ -45,7 +46,7 @@ def describe_what_moved(model: Model, observations: Observations, there: PosePai
         return f"{f'{error:.0f}' if error >= 100 else f'{error:.3g}'} {unit}"
 
     left = ", ".join(f"{show(one)} if {one.what}" for one in others)
-    clear = others[0].criterion - best.criterion > MIN_CLEAR_BIC_GAIN
+    clear = others[0].criterion - best.criterion > 2 * EQUAL_EVIDENCE
     return (
         f"likeliest{'' if clear else ', but not clearly'}, {best.what} (rms error {show(best)}; "
         f"{left}). To be sure, measure three fixed points of the base in every recording: if they "
@@ -106,9 +107,7 @@ def _with_other_zeros(
             (predicted(zeros + step).compute_errors(there.now) - errors) / ZERO_DIFFERENCE
             for step in ZERO_DIFFERENCE * np.eye(len(zeros))
         ]
-        change, _, rank, _ = np.linalg.lstsq(
-            np.stack(columns, axis=1), -errors, rcond=LSTSQ_RANK_TOLERANCE
-        )
+        change, _, rank, _ = np.linalg.lstsq(np.stack(columns, axis=1), -errors, rcond=ROUNDING)
         if np.any(np.abs(zeros + change) > span):  # no zeros: the robot could not be there
             break
         zeros = zeros + change

@@ -10,7 +10,6 @@ import numpy as np
 
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.identification.thresholds import (
-    MIN_LOST_SHARE,
     MIN_NAMED_SHARE,
     MIN_SIGMAS_PER_TOLERANCE,
     RELATIVE_RANK,
@@ -69,7 +68,7 @@ def spectrum(
     seen, unseen = directions[:rank], directions[rank:]
     little = sizes[:rank] < MIN_SIGMAS_PER_TOLERANCE * np.sqrt(held or 1.0)
     covariance = (seen.T / (sizes[:rank] ** 2 + held * little)) @ seen
-    lost = np.sum(unseen**2, axis=0) > MIN_LOST_SHARE
+    lost = np.sum(unseen**2, axis=0) > RELATIVE_RANK
     if prior:
         information = (seen.T * sizes[:rank] ** 2) @ seen
         covariance = np.linalg.inv(

@@ -18,12 +18,10 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.robust import LOSSES
 from parallel_cal.identification.thresholds import (
-    MAX_OUTLIER_FITS,
     MAX_OUTLIER_SHARE,
+    MAX_REPETITIONS,
     MIN_OUTLIER_RATIO,
-    MIN_OUTLIER_WEIGHT,
-    MIN_OUTSTANDING_RATIO,
-    OUTLIER_ROUNDS,
+    REWEIGHTINGS,
 )
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import join_words
@@ -57,12 +55,11 @@ def find_outliers(
         Rms residual of each sample after the regression, in units of the typical one.
     """
     p, sizes = columns.shape[2], _relative_sizes(residual, informative)
-    if sizes.max(initial=0.0) <= MIN_OUTSTANDING_RATIO:
+    if sizes.max(initial=0.0) <= MIN_OUTLIER_RATIO:
         return np.zeros(0, dtype=int), sizes
-    for round_ in range(OUTLIER_ROUNDS):
-        loss = LOSSES["huber" if round_ < OUTLIER_ROUNDS // 2 else "cauchy"]
-        # No weight is zero: a direction that one sample determines alone would run away.
-        weight = np.maximum(loss(sizes), MIN_OUTLIER_WEIGHT) ** 2
+    for round_ in range(REWEIGHTINGS):
+        loss = LOSSES["huber" if round_ < REWEIGHTINGS // 2 else "cauchy"]
+        weight = loss(sizes) ** 2
         normal = np.einsum("nki,n,nkj->ij", columns, weight, columns, optimize=True)
         gradient = np.einsum("nki,n,nk->i", columns, weight, residual, optimize=True)
         grain = 1e-12 * max(np.trace(normal), 1e-300) / max(p, 1)
@@ -146,7 +143,7 @@ def search_outliers(
         return None
     if known is not None:
         sizes = _relative_sizes(known.residuals, known.informative)
-        if sizes.max(initial=0.0) <= MIN_OUTSTANDING_RATIO:
+        if sizes.max(initial=0.0) <= MIN_OUTLIER_RATIO:
             return None
     (free, _), prior = chosen_parameters(model, options), options.prior
     linearise = Linearisation(model, observations, free, True)
@@ -186,7 +183,7 @@ def _confirm(
     prior: bool | Prior | None,
 ) -> _Confirmed | None:
     """Fit the others, until the same samples are far from the fit that does not use them."""
-    for _ in range(MAX_OUTLIER_FITS):
+    for _ in range(MAX_REPETITIONS):
         if not 0 < len(found) <= max(1, MAX_OUTLIER_SHARE * len(observations)):
             return None
         kept = np.setdiff1d(np.arange(len(observations)), found)

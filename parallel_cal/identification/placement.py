@@ -16,10 +16,10 @@ from parallel_cal.identification.frames import PosePairs
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.identification.thresholds import (
+    MAX_DISPLACEMENT_RAD,
     MIN_DOUBTFUL_SHARE,
     MIN_PLACEMENT_POSES,
-    MIN_PLACEMENT_TILT_RAD,
-    MIN_VARIANT_RATIO,
+    MIN_UNREGISTERED_ERROR_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
@@ -95,7 +95,7 @@ def _require_no_better_variant(
         for words, other in sensor.variants()
     }
     words = min(errors, key=lambda one: errors[one], default="")
-    if words and errors[words] * MIN_VARIANT_RATIO < error:
+    if words and errors[words] * MIN_UNREGISTERED_ERROR_RATIO < error:
         raise FitError(
             f"{sensor.name}: the poses in the images are {error / MM:.3g} mm from those of the "
             f"robot (median). With the options {words} they are {errors[words] / MM:.3g} mm: "
@@ -117,5 +117,5 @@ def _compare(model: Model, view: View, reached: Solutions) -> PosePairs | None:
         view.R,
         measured=np.repeat(used[:, None], 6, axis=1),
         length=model.mechanism.length,
-        target_is_free=turned > MIN_PLACEMENT_TILT_RAD,
+        target_is_free=turned > MAX_DISPLACEMENT_RAD,
     )

@@ -14,7 +14,7 @@ from parallel_cal.identification.frames import IDENTITY_FRAMES, PosePairs
 from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import (
-    MAX_DEVICE_TOLERANCES,
+    MAX_MOVED_TOLERANCES,
     MAX_SHIFT_TO_SHOWN_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
@@ -82,9 +82,7 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
 def find_large_device_effects(model: Model) -> list[str]:
     """Names of the effects of the device with a parameter far beyond its tolerance: such a prior no
     longer separates the device from the robot."""
-    away = (
-        np.abs(model.values - model.table.nominal) > MAX_DEVICE_TOLERANCES * model.table.tolerance
-    )
+    away = np.abs(model.values - model.table.nominal) > MAX_MOVED_TOLERANCES * model.table.tolerance
     large = {
         name.partition(".")[0] for name, far in zip(model.table.names, away, strict=True) if far
     }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.thresholds import MAX_DIRECTION_CHANGE, UNSEEN
+from parallel_cal.identification.thresholds import RELATIVE_RANK, UNSEEN_CHANGE
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import ParameterTable
 
@@ -37,7 +37,7 @@ class Prior:
             )
         scale = np.outer(model.table.tolerance, model.table.tolerance)
         size, directions = np.linalg.eigh(model.covariance / scale)
-        unseen = directions[:, size < UNSEEN * size[-1]]
+        unseen = directions[:, size < RELATIVE_RANK**2 * size[-1]]
         return Prior(model.values, model.covariance + (unseen @ unseen.T) * scale)
 
 
@@ -95,8 +95,7 @@ class Knowledge:
         """Whether another knowledge is as strong along nearly the same directions."""
         size = max(float(np.abs(self.information).max(initial=0.0)), 1e-300)
         return bool(
-            np.abs(other.information - self.information).max(initial=0.0)
-            < MAX_DIRECTION_CHANGE * size
+            np.abs(other.information - self.information).max(initial=0.0) < UNSEEN_CHANGE * size
         )
 
     def gradient(self, values: np.ndarray) -> np.ndarray:

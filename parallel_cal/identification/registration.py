@@ -31,16 +31,16 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.predictions import condition_columns, predict_configurations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
-    LSTSQ_RANK_TOLERANCE,
     MAX_DISPLACEMENT_M,
     MAX_DISPLACEMENT_RAD,
     MAX_REMAINING_SHARE,
     MAX_REMAINING_SHARE_IDENTIFIED,
-    MAX_UNCERTAIN_TILT_RAD,
     MIN_EXPLAINED_ERROR_RATIO,
     MIN_FRAME_COLUMN_REMAINDER,
     MIN_REGISTRATION_POSES,
     MIN_UNREGISTERED_ERROR_RATIO,
+    ROUNDING,
+    UNKNOWN_TOLERANCES,
 )
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
@@ -54,7 +54,6 @@ FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
 # Of the effect that describes a station for each of several recordings
 STATION_EFFECT = "parallel_cal.identification.stations"
 TARGET_EFFECT = "target_offset"  # an effect that states where the target sits
-UNKNOWN_FRAME_TOLERANCES = 1e3  # sigma of a frame's parameter of which nothing is known
 LARGEST_EFFECT = 30.0  # of its usual sizes
 TOLERANCE_SAMPLE_SIZE = 24  # poses for the median error that tolerances explain
 
@@ -309,9 +308,7 @@ class DevicePoses(PosePairs):
         ]
         away = turns_from_mean(reached.rotation[solved])
         # Wide tolerances must not hide a rotation that nobody mistakes for an error.
-        allowed = min(
-            float(np.median(np.sum(spread[:, 3:] ** 2, axis=1))), MAX_UNCERTAIN_TILT_RAD**2
-        )
+        allowed = min(float(np.median(np.sum(spread[:, 3:] ** 2, axis=1))), MAX_DISPLACEMENT_RAD**2)
         tilts = bool(np.mean(np.sum(away**2, axis=1)) > allowed) and moves[1]
         return cls(
             reached.position,
@@ -522,7 +519,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions, t
     columns = system.columns * model.table.tolerance[free]
     order = np.argsort(device[free], kind="stable")  # the robot's first
     sizes = np.linalg.norm(columns, axis=0)
-    unit = columns / np.where(sizes > LSTSQ_RANK_TOLERANCE * sizes.max(), sizes, np.inf)
+    unit = columns / np.where(sizes > ROUNDING * sizes.max(), sizes, np.inf)
     adds = np.zeros(int(free.sum()), dtype=bool)
     adds[order] = find_independent_columns(
         np.asarray(np.linalg.qr(unit[:, order], mode="r")), MIN_FRAME_COLUMN_REMAINDER
@@ -540,7 +537,7 @@ def _prior_without(model: Model, unknown: Array) -> Prior:
     """
     effects = np.array([p.group == "effect" for p in model.table])
     sizes = np.where(effects, LARGEST_EFFECT, 1.0)
-    sigma = np.where(unknown, UNKNOWN_FRAME_TOLERANCES, sizes) * model.table.tolerance
+    sigma = np.where(unknown, UNKNOWN_TOLERANCES, sizes) * model.table.tolerance
     return Prior(model.table.nominal, np.diag(sigma**2))
 
 

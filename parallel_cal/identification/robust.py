@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.thresholds import WEIGHT_STEP
+from parallel_cal.identification.thresholds import UNSEEN_CHANGE
 from parallel_cal.model.model import Model
 
 # Weights of scipy's losses for a sample whose rms residual is t sigmas; the constants keep 95 %
@@ -61,7 +61,7 @@ def estimate_robustly(
             unit = max(float(np.median(usual)), 1e-300)
         before, weight = weight, LOSSES[loss](sizes / unit)
         model = model.with_values(found.values)
-        if np.abs(weight - before).max() < WEIGHT_STEP:
+        if np.abs(weight - before).max() < UNSEEN_CHANGE:
             break
     return replace(found, weight=before, system=None)
 

@@ -20,10 +20,10 @@ from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import ESTIMATED, Observations
 from parallel_cal.identification.robust import reweight
 from parallel_cal.identification.thresholds import (
-    CONVERGED_NOISE_RATIO,
-    MAX_NOISE_SAMPLES,
+    ENOUGH_SAMPLES,
+    MAX_NEGLIGIBLE_ERROR_RISE,
     MAX_NOISE_SHARE_SIGMA,
-    MAX_NOISE_STEPS,
+    MAX_SCORING_STEPS,
     MIN_NOISE_FACTOR,
     MIN_NOISE_SHARE,
     MIN_SIGMAS_PER_TOLERANCE,
@@ -51,7 +51,7 @@ class EstimatedNoise:
     def differs_from(self, other: EstimatedNoise) -> bool:
         """Whether a standard deviation differs noticeably from another estimate."""
         change = np.abs(np.log(self.factors / other.factors)).max(initial=0.0)
-        return bool(change > np.log(CONVERGED_NOISE_RATIO))
+        return bool(change > np.log1p(MAX_NEGLIGIBLE_ERROR_RISE))
 
 
 def estimate_noise(
@@ -75,7 +75,7 @@ def estimate_noise(
         model = model.with_values(found.values)
     else:
         observations_used, free = observations, np.zeros_like(free)
-    step = -(-len(observations) // MAX_NOISE_SAMPLES)
+    step = -(-len(observations) // ENOUGH_SAMPLES)
     few = np.arange(0, len(observations), step)
     rows = _Rows.of(model, observations_used.select(few), free, with_priors)
     seen = np.flatnonzero(rows.variances() > 0).tolist()
@@ -192,11 +192,11 @@ class _Rows:
         else:
             variance = np.array([np.mean(last.factors[group] ** 2) for group in groups])
         variance = np.maximum(variance, MIN_NOISE_FACTOR**2)
-        for _ in range(MAX_NOISE_STEPS):
+        for _ in range(MAX_SCORING_STEPS):
             change, covariance, share = self._score(groups, self._factors(groups, variance))
             variance = np.maximum(variance * change, MIN_NOISE_FACTOR**2)
-            if np.abs(np.log(np.maximum(change, MIN_NOISE_FACTOR))).max() < np.log(
-                CONVERGED_NOISE_RATIO
+            if np.abs(np.log(np.maximum(change, MIN_NOISE_FACTOR))).max() < np.log1p(
+                MAX_NEGLIGIBLE_ERROR_RISE
             ):
                 break
         return _Solution(self._factors(groups, variance), covariance, share)

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
-from parallel_cal.diagnosis.explanation import CREDIBLE
 from parallel_cal.diagnosis.next_measurement import PlannedPose
 from parallel_cal.diagnosis.signature import signature
-from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
+from parallel_cal.diagnosis.thresholds import CREDIBLE, MAX_REFITTED_CANDIDATES
 from parallel_cal.reporting import signatures
 from parallel_cal.reporting.blocks import Column
 from parallel_cal.reporting.contents import unit_along

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.identification.thresholds import MIN_DOF
 from parallel_cal.model.words import join_words
 from parallel_cal.reporting.blocks import Cell, Table
 from parallel_cal.reporting.contents import list_shown_kinds
@@ -128,7 +128,7 @@ def _state_missing(
     if judged.observations.noise_assumed:
         level = _judge_by_revisits(judged)
         if level.variance is None:
-            few = f" {MIN_REPLICATE_DOF} times" if level.pure_error.dof else ""
+            few = f" {MIN_DOF} times" if level.pure_error.dof else ""
             why = f"the noise is not stated, and no poses were visited again{few}"
             return Line("missing:", f"not known, because {why}")
         high = level.band(residual.dof)[1]

@@ -18,7 +18,7 @@ from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.causes.effects import list_effect_blocks, list_effects_to_test, widen
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
-from parallel_cal.diagnosis.explanation import CREDIBLE
+from parallel_cal.diagnosis.thresholds import CREDIBLE
 from parallel_cal.fleet.cluster import (
     KILLED_WORKER_REASON,
     check_extra_installed,

@@ -15,13 +15,13 @@ from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.signature import Signature, signature
-from parallel_cal.diagnosis.thresholds import MIN_DOF
 from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, summarise_parameters
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Summary, compute_rms_sigmas
+from parallel_cal.identification.thresholds import MIN_DOF
 from parallel_cal.model.model import Model
 from parallel_cal.reporting import (
     contents,

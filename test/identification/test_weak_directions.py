@@ -108,7 +108,7 @@ def test_only_the_ratio_of_assumed_noise_counts_for_what_is_held():
 
 
 def test_a_floor_that_is_rough_is_a_floor():
-    """Rounding as rough as 1e-2 sigma always promises a little more: ten steps that gain nothing
+    """Rounding as rough as 1e-2 sigma always promises a little more: eight steps that gain nothing
     of chi2 = 1e4 are the end."""
     model = new_model("slider_crank")
     free = np.arange(len(model.table)) == 0

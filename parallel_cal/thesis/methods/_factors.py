@@ -14,10 +14,12 @@ import numpy as np
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.observability import find_independent_columns
-from parallel_cal.identification.thresholds import DRAWS, MIN_COLUMN_REMAINDER
+from parallel_cal.identification.thresholds import ROUNDING
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.thesis.methods._separation import Separation
+
+DRAWS = 400  # random configurations and parameters that distinguish factors
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def _merge_dependent(columns: np.ndarray) -> tuple[list[int], np.ndarray]:
     sizes = np.linalg.norm(columns, axis=0)
     nothing = sizes < 1e-11 * sizes.max()  # columns that cancel up to rounding
     unit = np.where(nothing, 0.0, columns / np.where(nothing, 1.0, sizes))
-    kept = np.flatnonzero(find_independent_columns(unit, MIN_COLUMN_REMAINDER)).tolist()
+    kept = np.flatnonzero(find_independent_columns(unit, ROUNDING)).tolist()
     made = np.linalg.lstsq(columns[:, kept], columns, rcond=None)[0].T
     made[kept], made[nothing] = 0.0, 0.0
     return kept, np.where(np.abs(made) > 1e-7, made.round(9), 0.0)

@@ -27,7 +27,7 @@ from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
-from parallel_cal.identification.thresholds import FACTOR_STEP
+from parallel_cal.identification.thresholds import ROUNDING
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
@@ -163,7 +163,7 @@ def extract_parameters(
         A = weight @ J * tolerance
         step = np.linalg.lstsq(A, weight @ (target - f), rcond=1e-10)[0]
         values[free] += tolerance * step
-        if np.abs(step).max() < FACTOR_STEP:
+        if np.abs(step).max() < ROUNDING:
             break
     else:
         raise FitError(
