@@ -136,6 +136,7 @@ class Screening:
         self._has_stations = any(one.owner == DEVICE for one in drivers)
         # Bases, which sites share, and products of columns, which all residuals share.
         self._known: dict[tuple[Any, ...], np.ndarray] = {}
+        self._pairs: dict[tuple[Any, ...], list[tuple[DriverSet, DriverSet]]] = {}
         self._n, self._n_joints = len(scene.x), len(scene.model.joints)
 
     def list_hypotheses(self, driver: Driver) -> list[Hypothesis]:
@@ -201,15 +202,9 @@ class Screening:
             ([Hypothesis(site, (own,))], self._lines(own)) for own in alone if not own[0].few_values
         )
         if len(site.members) == 1 or not site.each:
-            instant = [own for own in sets if own[0].family != LAGGED]
-            pairs = (
-                (one, other)
-                for one, other in combinations(instant, 2)
-                if self._is_plausible_pair(site, one, other)
-            )
             yield from _chunks(
                 ([Hypothesis(site, pair)], basis.products(*map(self._polynomials, pair)))
-                for pair in pairs
+                for pair in self._list_pairs(site, sets)
             )
         if site.kind != JOINT:
             return
@@ -228,6 +223,17 @@ class Screening:
             at = basis.frequencies(np.concatenate([one.values for one in own]))
             columns = basis.waves(own, at).transpose(0, 2, 1, 3)
             yield [Hypothesis(site, (own,), float(w)) for w in at], columns
+
+    def _list_pairs(
+        self, site: Site, sets: Sequence[DriverSet]
+    ) -> list[tuple[DriverSet, DriverSet]]:
+        """The pairs of drivers that may act together on a site, listed once."""
+        if site.key not in self._pairs:
+            instant = [own for own in sets if own[0].family != LAGGED]
+            self._pairs[site.key] = [
+                pair for pair in combinations(instant, 2) if self._is_plausible_pair(site, *pair)
+            ]
+        return self._pairs[site.key]
 
     def _driver_sets(self, site: Site) -> list[DriverSet]:
         """Drivers that each member may depend on: those of its own joint, those of all joints for

@@ -25,28 +25,25 @@ class SharedDerivatives:
     models of the same samples.
 
     They depend on the joint readings, the conditions and the pose. From one model to another the
-    predicted pose changes by the errors of the robot, which hardly changes them. What is zero at
-    all samples is not kept.
+    predicted pose changes by the errors of the robot, which hardly changes them.
     """
 
     def __init__(self) -> None:
         self._known: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
         self._bytes = 0
 
-    def get(self, key: Hashable, compute: Callable[[], np.ndarray]) -> np.ndarray:
-        """Return the derivatives (N, k) of a key; compute them if they are not known."""
+    def get(
+        self, key: Hashable, compute: Callable[[], tuple[np.ndarray, np.ndarray]]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return which derivatives of a key are not zero at all samples, and these (k, N); compute
+        them if they are not known."""
         if key in self._known:
-            used, values = self._known[key]
-            whole = np.zeros((len(values), len(used)))
-            whole[:, used] = values
-            return whole
-        whole = compute()
-        used = np.asarray(whole.any(axis=0))
-        values = whole[:, used]
+            return self._known[key]
+        numbers, values = compute()
         if self._bytes + values.nbytes <= MAX_SHARED_BYTES:
-            self._known[key] = used, values
+            self._known[key] = numbers, values
             self._bytes += values.nbytes
-        return whole
+        return numbers, values
 
 
 @dataclass(frozen=True)
@@ -208,7 +205,8 @@ class Scene:
         closure = self.model.structure.phi.shape[0]
         by_seen = self.model.structure.ideal.seen_jacobian(self.seen)[0]
         J = by_seen.reshape(len(self.x), -1, closure).transpose(0, 2, 1)
-        return self.whitener[:, :, :closure] @ J
+        J = self.whitener[:, :, :closure] @ J
+        return np.ascontiguousarray(J.transpose(2, 1, 0)).transpose(2, 1, 0)  # all of one at a time
 
     @cached_property
     def measured_jacobian(self) -> np.ndarray:
@@ -261,14 +259,17 @@ def columns(
         at = a[:, [s.conditions.index(c) for c in extended.effects[-1].conditions(s.mechanism)]]
         values = extended.values[own]
 
-        def compute() -> np.ndarray:
-            return np.asarray(seen_by(scene.seen, at, values)[0])
+        def compute() -> tuple[np.ndarray, np.ndarray]:
+            by_number = seen_by(scene.seen, at, values)[0].T
+            used = np.flatnonzero(by_number.any(axis=1))
+            return used, by_number[used]
 
         key = name, id(extended.mechanism), tuple(which - own[0]), values.tobytes()
-        by_number = scene.shared.get(key, compute) if share and scene.shared else compute()
-        J = scene.seen_jacobian[:, :, moved] @ by_number.reshape(n, len(which), -1).transpose(
-            0, 2, 1
-        )
+        used, slopes = scene.shared.get(key, compute) if share and scene.shared else compute()
+        by = np.zeros((len(which), scene.rows, n))
+        for number, through, slope in zip(*np.divmod(used, len(moved)), slopes, strict=True):
+            by[number] += scene.seen_jacobian[:, :, moved[through]].T * slope
+        J = by.transpose(2, 1, 0)
     else:  # another closure, or a reading that changes with it
         by_v = s.columns(tuple(which.tolist()))(scene.x, a, extended.values)[0]
         J = scene.whitener @ by_v.reshape(n, len(which), -1).transpose(0, 2, 1)

@@ -306,24 +306,24 @@ def test_a_noise_that_nobody_states_is_taken_from_replicates():
 # ------------------------------------------------------------------------------------- refits
 
 
-def test_shared_derivatives_are_computed_once_and_returned_whole(monkeypatch):
+def test_shared_derivatives_are_computed_once(monkeypatch):
     computed = []
 
     def compute(scale):
         computed.append(scale)
-        return scale * np.array([[0.0, 1.0, 0.0], [0.0, 2.0, 3.0]])
+        return np.array([1, 2]), scale * np.array([[1.0, 2.0], [0.0, 3.0]])
 
     shared = SharedDerivatives()
     for _ in range(2):
-        found = shared.get(("backlash", 1), lambda: compute(1.0))
-        assert found.tolist() == [[0, 1, 0], [0, 2, 3]]
-    assert shared.get(("backlash", 2), lambda: compute(2.0))[1, 2] == 6
+        used, found = shared.get(("backlash", 1), lambda: compute(1.0))
+        assert (used.tolist(), found.tolist()) == ([1, 2], [[1, 2], [0, 3]])
+    assert shared.get(("backlash", 2), lambda: compute(2.0))[1][1, 1] == 6
     assert computed == [1.0, 2.0]
     # What does not fit into the memory is computed anew.
     monkeypatch.setattr(scenes, "MAX_SHARED_BYTES", 8 * 4 - 1)
     small = SharedDerivatives()
     for _ in range(2):
-        assert small.get("lag", lambda: compute(3.0))[0, 1] == 3
+        assert small.get("lag", lambda: compute(3.0))[1][0, 0] == 3
     assert computed == [1.0, 2.0, 3.0, 3.0]
 
 
