@@ -228,9 +228,8 @@ class Sum:
 
     def _marginal(self, rest: Evidence, one: Choice) -> float:
         """Log posterior of one cause beside the rest, over all its settings and sizes."""
-        own = [stack for stack in self.stacks if one.block.name in {b.name for b in stack.blocks}]
-        ranked = (other for stack in (*own, one.block.alone) for other in rest.rank(stack))
-        return max(other.log_p for other in ranked if other.best.block.name == one.block.name)
+        scanned = next(block for block in self.blocks if block.name == one.block.name)
+        return max(rest.rank(block.alone)[0].log_p for block in {scanned, one.block})
 
     def _sum_nearby(self, chosen: tuple[Choice, ...], nu: float) -> Posterior:
         """Sum over the chosen set, and all sets with one cause less, more, or exchanged."""
