@@ -113,6 +113,11 @@ class Evidence:
         return Q, float(2 * np.log(np.abs(np.diag(R))).sum())
 
     @cached_property
+    def _alone(self) -> Evidence:
+        """The same, but from its own columns."""
+        return replace(self, whole=None)
+
+    @cached_property
     def _onto(self) -> np.ndarray:
         """L^-1 C' r, of the whole set."""
         if self.whole is not None:
@@ -159,13 +164,13 @@ class Evidence:
         part Z (c, m, k) of them in the directions of B, and B' S^-1 B = B'B - Z'Z (m, k, k), which
         is made if there are more directions than columns."""
         if self.whole is not None:
+            if len(self.whole._turn) < stack.onto.shape[1]:  # few directions: not worth it
+                return self._alone._project(stack)
             b, Z, S = self.whole._project(stack)
             Q, _ = self._gone
             c, m, k = Z.shape
             back = Q.T @ Z.reshape(c, m * k)
             b = b + ((Q.T @ self._onto) @ back).reshape(m, k)
-            if not len(S):
-                return b, Z - (Q @ back).reshape(c, m, k), S
             back = back.reshape(-1, m, k).transpose(1, 0, 2)
             return b, Z, S + back.transpose(0, 2, 1) @ back
         if stack not in self._known:
