@@ -116,6 +116,27 @@ MUTANTS = (
         "test_deviation.py",
     ),
     Mutant(
+        "campaign/cartesian.py",
+        "np.maximum(np.abs(v).max(axis=0), np.abs(turning).max(axis=0))",
+        "np.abs(v).max(axis=0)",
+        "a joint exceeds its velocity between two points of a path",
+        "test_cartesian_path.py",
+    ),
+    Mutant(
+        "campaign/cartesian.py",
+        "    for order in (1, -1):\n        x, d, b",
+        "    for order in (1,):\n        x, d, b",
+        "a path is not timed backwards from its end: it cannot stop there",
+        "test_cartesian_path.py",
+    ),
+    Mutant(
+        "campaign/cartesian.py",
+        "return Trajectory(stretch * time, q, velocities / stretch)",
+        "return Trajectory(time, q, velocities)",
+        "the cubics between the points of a path exceed the limits",
+        "test_cartesian_path.py",
+    ),
+    Mutant(
         "campaign/path_guard.py",
         "if (why := self.find_violation(self.points(a, b))) is None:",
         "if (why := self.find_violation(np.stack([a, b]))) is None:",
