@@ -13,7 +13,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[1]
 sys.path.insert(0, str(REPOSITORY / "test" / "project"))
-from test_architecture import GRAPH, PACKAGE, ROOMS, room
+from test_architecture import PACKAGE, ROOMS, graph, room
 
 PICTURE = REPOSITORY / "docs" / "rooms.svg"
 HEIGHT, WIDTH, LEFT, BOX = 34, 790, 100, 116  # of a row, of all; where boxes begin, their width
@@ -34,7 +34,7 @@ path { fill: none; stroke: #57606a; stroke-width: 1.5 }
 def imported() -> dict[str, set[str]]:
     """The other rooms that each room imports."""
     rooms: dict[str, set[str]] = {name: set() for name in ROOMS}
-    for file, others in GRAPH.items():
+    for file, others in graph().items():
         if room(file) in rooms:
             rooms[room(file)] |= {room(other) for other in others} - {room(file)}
     return rooms

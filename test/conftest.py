@@ -29,6 +29,20 @@ def pytest_configure(config):
         settings.load_profile("wide" if "wide" in marks else "nightly")
 
 
+def pytest_ignore_collect(collection_path, config):
+    """To start the tests that start nodes, the few files that have some need to be imported."""
+    terms = config.getoption("markexpr", "").split(" and ")
+    if "ros" not in terms or not collection_path.match("test_*.py"):
+        return None
+    return None if "mark.ros" in collection_path.read_text() else True
+
+
+def pytest_collection_modifyitems(items):
+    for path in {item.path for item in items if item.get_closest_marker("ros")}:
+        if "mark.ros" not in path.read_text():
+            raise pytest.UsageError(f"{path}: `pytest -m ros` would not find a test of mark.ros")
+
+
 sys.path[:0] = map(str, sorted(Path(__file__).parent.glob("*/")))
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

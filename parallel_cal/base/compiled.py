@@ -67,7 +67,7 @@ class Batch:
     result does not depend on N.
     """
 
-    SIZES = (BATCH_SIZE, 64, 16)
+    SIZES = (BATCH_SIZE, 64, 16, 4, 1)
 
     def __init__(self, function: ca.Function, compile: bool = False):
         self.function = compile_function(function) if compile else function

@@ -54,6 +54,8 @@ def left_generators(R: Any) -> Any:
 def quaternion_to_matrix(quaternion: np.ndarray | Sequence[float]) -> np.ndarray:
     """Convert quaternions x y z w (..., 4) of any non-zero length to matrices (..., 3, 3)."""
     q = np.asarray(quaternion, dtype=float)
+    if q.ndim == 1:
+        return _single_matrix(q)
     size = np.abs(q).max(axis=-1, keepdims=True)
     extreme = (size > 0) & np.isfinite(size) & ((size < 1e-100) | (size > 1e100))
     if extreme.any():  # the squares of such numbers are 0 or infinite
@@ -65,6 +67,21 @@ def quaternion_to_matrix(quaternion: np.ndarray | Sequence[float]) -> np.ndarray
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _single_matrix(q: np.ndarray) -> np.ndarray:
+    """Convert one quaternion without the overhead of arrays."""
+    largest = max(map(abs, q.tolist()))
+    x, y, z, w = (q / largest if 0 < largest < 1e-100 or 1e100 < largest < np.inf else q).tolist()
+    size = math.sqrt(x * x + y * y + z * z + w * w) or math.nan
+    x, y, z, w = x / size, y / size, z / size, w / size
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def matrix_to_quaternion(R: np.ndarray) -> np.ndarray:
@@ -128,6 +145,10 @@ def rotation_vector(R: np.ndarray) -> np.ndarray:
 def rotation_matrix(vector: np.ndarray) -> np.ndarray:
     """Convert rotation vectors w (..., 3) in rad to matrices exp(w) (..., 3, 3)."""
     vector = np.asarray(vector, dtype=float)
+    if vector.ndim == 1:
+        x, y, z = vector.tolist()
+        half = math.sqrt(x * x + y * y + z * z) / 2
+        return _single_matrix(np.array([*0.5 * np.sinc(half / np.pi) * vector, np.cos(half)]))
     half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
     axis = 0.5 * np.sinc(half / np.pi) * vector
     return quaternion_to_matrix(np.concatenate([axis, np.cos(half)], axis=-1))

@@ -97,7 +97,7 @@ class PosePairs:
         """Whether the platform can turn."""
         return any(c.startswith("r") for c in self.moves)
 
-    @property
+    @cached_property
     def _hidden(self) -> tuple[str, ...]:
         """Coordinates in {B} of the device's frame that no sample shows."""
         if self._fully_placed.sum() >= 3:
@@ -208,10 +208,14 @@ class PosePairs:
     def _residual(self, frames: Frames) -> Array:
         """(N, 6) in axes of the device: position (m), then orientation times length; zero where not
         measured."""
-        place = self.seen_r @ frames.F.T + frames.f - self.r - self.R @ frames.t
         turn = rotation_vector(frames.F @ self.seen_R @ (self.R @ frames.T).transpose(0, 2, 1))
-        apart = np.hstack([place @ frames.F, self.length * turn @ frames.F])
-        return np.nan_to_num(np.where(self.measured, apart, 0.0))
+        turned = np.where(self.measured[:, 3:], self.length * turn @ frames.F, 0.0)
+        return np.hstack([self._displacements(frames), np.nan_to_num(turned)])
+
+    def _displacements(self, frames: Frames) -> Array:
+        """The positions of `_residual`, (N, 3)."""
+        place = self.seen_r @ frames.F.T + frames.f - self.r - self.R @ frames.t
+        return np.nan_to_num(np.where(self.measured[:, :3], place @ frames.F, 0.0))
 
     def descend(self, frames: Frames, used: Array, free: Array | None = None) -> Frames:
         """Gauss-Newton over the frames, or over those of their 12 coordinates that are `free`;
@@ -226,7 +230,7 @@ class PosePairs:
                 break
         return frames
 
-    @property
+    @cached_property
     def _free(self) -> Array:
         """Mask (12,) of the coordinates of f, F, t, T that the measured coordinates show."""
         axes = "xyz"
@@ -303,7 +307,10 @@ class PosePairs:
             return Frames(np.zeros(3), F, np.zeros(3), T)
         start = Frames(self.now.f, F, self.now.t if t is None else t, T)
         # The positions are linear in f and t.
-        linear = np.repeat([True, False, t is None, False], 3)
-        J = (self._jacobian(start) * linear)[:, :3].reshape(-1, 12)
-        away = self._residual(start)[:, :3].ravel()
-        return start.moved(-np.linalg.lstsq(J, away, rcond=ROUNDING)[0])
+        free = self._free[[0, 1, 2, 6, 7, 8]] & np.repeat([True, t is None], 3)
+        R = np.nan_to_num(self.R)
+        J = F.T @ np.concatenate([np.broadcast_to(np.eye(3), R.shape), -R], axis=2)
+        J = (J * self.measured[:, :3, None] * free).reshape(-1, 6)
+        away = self._displacements(start).ravel()
+        step = -np.linalg.lstsq(J, away, rcond=ROUNDING)[0]
+        return replace(start, f=start.f + step[:3], t=start.t + step[3:])

@@ -45,12 +45,14 @@ class Problem:
     """One split into given and unknown coordinates, with the parameter values of one model."""
 
     def __init__(self, model: Model, name: str, compile: bool):
-        self.calls = _calls(model.structure, name, compile)
+        robot = model.structure.robot
+        self.calls = _calls(robot, name, compile)
         self.model, self.name = model, name
         self._n = len(model.joints)
         self.unknown_joints = name == "inverse"
         low, high = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2).T
-        self.k_and_limits = np.concatenate([self.calls.tables(model.values)[0], low, high])
+        (tables,) = self.calls.tables(model.values[: len(robot.table)])
+        self.k_and_limits = np.concatenate([tables, low, high])
         self.columns = self.calls.columns
         # More rows than unknowns (lines of a cable robot): the solution is that of least squares.
         # Its residual is not zero, so the residual does not decide on the status.

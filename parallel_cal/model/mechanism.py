@@ -14,6 +14,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.content import ByContent
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drive import Drive, Spool
 from parallel_cal.model.parameters import Named, ParameterTable
@@ -116,7 +117,7 @@ class Box:
         return ", ".join(f"{axis} {1e3 * a:g}..{1e3 * b:g}" for axis, a, b in sides) + " mm"
 
 
-class Mechanism(ABC):
+class Mechanism(ByContent, ABC):
     """Base class of a robot's geometry.
 
     Subclass it in a file of its own; the file name is the mechanism's name. Implement `closure`;

@@ -144,12 +144,16 @@ class Model:
         sensors = "".join(f" + {sensor.name}" for sensor in self.sensors)
         return f"Model({self.mechanism.name}{effects}{sensors}, {len(self.values)} parameters)"
 
-    @cached_property
+    @property
     def structure(self) -> Structure:
         """Equations of the mechanism, its effects and sensors.
 
         Models that differ only in their values share one object."""
-        return structure_of(self.mechanism, self.effects, self.sensors)
+        known: Structure | None = vars(self).get("_structure")
+        if known is None or known.content is not self.mechanism.content:
+            known = structure_of(self.mechanism, self.effects, self.sensors)
+            vars(self)["_structure"] = known
+        return known
 
     @cached_property
     def table(self) -> ParameterTable:

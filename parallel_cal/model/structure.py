@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -32,7 +33,9 @@ class Structure:
     def __init__(
         self, mechanism: Mechanism, effects: Sequence[Effect], sensors: Sequence[Sensor] = ()
     ):
-        self.mechanism, self.effects = mechanism, tuple(effects)
+        # A copy: whoever changes the mechanism does not change the models that share this.
+        self.mechanism, self.content = copy(mechanism), mechanism.content
+        self.effects = tuple(effects)
         self.sensors = tuple(sensors)
         self.table = ParameterTable(mechanism.parameters)
         tables = [
@@ -353,6 +356,12 @@ class Structure:
         return structure_of(self.mechanism, ())
 
     @cached_property
+    def robot(self) -> Structure:
+        """The mechanism with its effects: how it moves depends on no sensor. Its parameters are the
+        first ones."""
+        return structure_of(self.mechanism, self.effects) if self.sensors else self
+
+    @cached_property
     def seen_jacobian(self) -> Batch:
         """(q, r, R9, u and geometry) -> d phi/d these, column by column; for an ideal mechanism."""
         z = ca.vertcat(self.configuration, self.v)
@@ -426,13 +435,13 @@ def _column(seen: Seen) -> Any:
 # solved or fitted have functions of 2 MB. A smaller cache derives them anew in every diagnosis.
 @lru_cache(maxsize=640)
 def _cached_structure(
-    mechanism: Mechanism, effects: tuple[str, ...], sensors: tuple[Sensor, ...]
+    mechanism: Mechanism, effects: tuple[type[Effect], ...], sensors: tuple[Sensor, ...]
 ) -> Structure:
-    return Structure(mechanism, [load_effect(name) for name in effects], sensors)
+    return Structure(mechanism, [effect() for effect in effects], sensors)
 
 
 def structure_of(
     mechanism: Mechanism, effects: tuple[Effect, ...], sensors: tuple[Sensor, ...] = ()
 ) -> Structure:
     """Return the structure of a mechanism with effects and sensors; it is derived once."""
-    return _cached_structure(mechanism, tuple(effect.name for effect in effects), sensors)
+    return _cached_structure(mechanism, tuple(map(type, effects)), sensors)

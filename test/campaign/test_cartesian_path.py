@@ -123,15 +123,20 @@ def test_a_curve_that_turns_the_platform_half_round_is_refused():
         plan_cartesian_path(Guard.of(model), np.array(home.joints), position + np.zeros((3, 3)), R)
 
 
-@pytest.mark.parametrize("paths", [12, pytest.param(250, marks=pytest.mark.wide)])
+# On path 149, a joint is fastest between two points and not at one.
+@pytest.mark.parametrize(
+    "paths", [[*range(12), 149], pytest.param(range(250), marks=pytest.mark.slow)], ids=len
+)
 def test_no_drawn_path_exceeds_a_limit(paths, monkeypatch):
     rng, planned = np.random.default_rng(7), 0
-    for _ in range(paths):
+    for k in range(max(paths) + 1):
         speed, rate = rng.uniform(0.5, 5.0, 3), rng.uniform(2.0, 60.0, 3)
         rates = tuple(zip(speed, rate, strict=True))
         monkeypatch.setattr(GUARD.model.mechanism, "joint_rates", rates)
         r, _ = poses_in_workspace(DELTA.mechanism, 5, rng)
         r = np.vstack([0.6 * r[:, :2].T, r[:, 2]]).T
+        if k not in paths:
+            continue
         try:
             found = plan_cartesian_path(GUARD, joints_at(*r[0]), r[1:])
         except PathError:
@@ -142,7 +147,7 @@ def test_no_drawn_path_exceeds_a_limit(paths, monkeypatch):
         assert (sharpest < rate * (1 + 1e-6)).all()
         # A path that is slower than need be would keep the limits, too.
         assert max((fastest / speed).max(), (sharpest / rate).max()) > 0.9
-    assert planned > 0.6 * paths
+    assert planned > 0.6 * len(paths)
 
 
 def test_a_forbidden_path_is_refused_with_the_reason_and_the_place():

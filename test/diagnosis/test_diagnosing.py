@@ -9,7 +9,6 @@ import pytest
 from datasets import measured, quiet
 from findings import clean
 from scipy import stats
-from shared_models import new_model
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
@@ -35,6 +34,7 @@ from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model import structure
+from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
 from parallel_cal.model.structure import structure_of
 from parallel_cal.posterior import scene as scenes

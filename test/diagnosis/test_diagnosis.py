@@ -11,7 +11,6 @@ import virtual_effects_more as more
 import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
-from shared_models import new_model
 
 import parallel_cal.diagnosis.next_measurement as next_measurement
 import parallel_cal.identification.fit as fitting
@@ -23,7 +22,7 @@ from parallel_cal.diagnosis.diagnose import diagnose, refit_with_equal_weights
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.model import Noise
+from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.text import show
 from parallel_cal.session.steps import add

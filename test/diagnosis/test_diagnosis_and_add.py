@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shared_models import new_model
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.effects.encoder_gain import EncoderGain
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_dataset

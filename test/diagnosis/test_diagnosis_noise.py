@@ -9,7 +9,6 @@ import virtual_blind as vb
 import virtual_findings as vf
 from findings import dataset, quiet, sized
 from scipy import stats
-from shared_models import new_model
 
 from bench.truth import coverage
 from parallel_cal.diagnosis import verdict
@@ -19,6 +18,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.identification.fit import fit
+from parallel_cal.model.model import new_model
 from parallel_cal.posterior.evidence import Evidence
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.virtual import robot as vr

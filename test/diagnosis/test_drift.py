@@ -5,10 +5,10 @@ import pytest
 import virtual_blind as vb
 import virtual_findings as vf
 from findings import dataset, sized
-from shared_models import new_model
 
 from bench.truth import new_effects as ne
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.model.model import new_model
 
 
 def wandering(seed, size=7e-6, effects=()):

@@ -13,7 +13,6 @@ import virtual_findings as vf
 import virtual_laws as laws
 from datasets import JOINTS, as_dataset, measured
 from findings import dataset, hiding, sized
-from shared_models import new_model
 from twins import hexapod
 
 from parallel_cal.base.errors import FitError, ModelError
@@ -25,6 +24,7 @@ from parallel_cal.identification.fit import fit, fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_effect, load_sensor
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.csv_import import import_csv

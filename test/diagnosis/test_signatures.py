@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import virtual_setups as vs
 from datasets import measured, orientations
-from shared_models import new_model
 from tied import dataset as tied
 
 from parallel_cal.diagnosis.catalogue import candidate
@@ -17,6 +16,7 @@ from parallel_cal.diagnosis.signature import (
     signature,
 )
 from parallel_cal.identification.fit import fit
+from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.reporting import signatures

@@ -12,7 +12,6 @@ import virtual_laws
 from datasets import measured
 from findings import dataset
 from scipy.spatial.transform import Rotation
-from shared_models import new_model
 from twins import hexapod
 
 from parallel_cal.base.errors import FitError
@@ -23,6 +22,7 @@ from parallel_cal.diagnosis.verdict import judge
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import text
 from parallel_cal.reporting.contents import parameters

@@ -11,7 +11,6 @@ import virtual_effects_hidden as hidden
 import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import dataset, sized
-from shared_models import new_model
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import candidate
@@ -31,6 +30,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
 

@@ -16,7 +16,6 @@ import virtual_blind as vb
 import virtual_findings as vf
 import virtual_laws as laws
 import virtual_sessions as days
-from shared_models import new_model
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.parallel import run_on_cores
@@ -45,6 +44,7 @@ from parallel_cal.effects._legs import leg_inclinations, needs_legs
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.posterior.scene import Scene

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 import virtual_day as vd
 import virtual_effects_more as more
-from shared_models import new_model
 
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.exporting.targets import c
 from parallel_cal.kinematics.answers import parse_conditions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import Seen
+from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism
 from parallel_cal.recordings.dataset import Dataset

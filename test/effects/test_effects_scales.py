@@ -6,7 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 import virtual_effects_more as more
-from shared_models import new_model
 
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.exporting.targets import c
@@ -16,6 +15,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import Seen, list_substitutes
 from parallel_cal.model.file.modelfile import parse_model
 from parallel_cal.model.file.writer import dump_model
+from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism
 from parallel_cal.recordings.dataset import Dataset

@@ -3,7 +3,6 @@
 import casadi as ca
 import numpy as np
 import pytest
-from shared_models import new_model
 from twins import hexapod
 from virtual_struts import JointedHexapod, UniversalJoints
 
@@ -12,6 +11,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Seen
+from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism
 from parallel_cal.recordings.dataset import Dataset

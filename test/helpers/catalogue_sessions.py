@@ -20,7 +20,6 @@ import virtual_effects_hidden as hidden
 import virtual_effects_more as more
 import virtual_sessions as days
 from arms import nominal
-from shared_models import new_model
 from test_virtual_robots import CABLE
 from twins import hexapod
 from virtual_cable import Line, WoundCable
@@ -31,7 +30,7 @@ from virtual_struts import UniversalJoints
 from parallel_cal.causes import effects as catalogue
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.model.model import Model
+from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import joint_effects as ve

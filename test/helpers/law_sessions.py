@@ -13,11 +13,10 @@ import virtual_arm
 import virtual_day as vd
 import virtual_laws as laws
 import virtual_sessions as days
-from shared_models import new_model
 
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.model.model import Model
+from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
 from parallel_cal.virtual.joint_effects import Visit

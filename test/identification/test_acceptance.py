@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from datasets import measured
-from shared_models import new_model
 from typer.testing import CliRunner
 
 from parallel_cal.base.errors import FitError
@@ -17,6 +16,7 @@ from parallel_cal.identification.fit import fit, fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary
 from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import new_model
 from parallel_cal.session.goals import Request, propose_model, write_proposal
 from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr

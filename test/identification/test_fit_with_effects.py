@@ -6,7 +6,6 @@ import law_sessions
 import numpy as np
 import pytest
 from datasets import measured
-from shared_models import new_model
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.cli import main as cli
@@ -14,6 +13,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import list_setting_warnings
 from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import new_model
 from parallel_cal.session.session import Session
 from parallel_cal.session.steps import UnprovenStepError, add, fitted, remove
 from parallel_cal.virtual import joint_effects as ve

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from shared_models import new_model
 
 from bench.truth import coverage
 from parallel_cal.identification.error_jacobians import differentiate_errors
@@ -10,6 +9,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.held_out_uncertainty import FoldedErrors
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.prediction_errors import compute_rms_sigmas, errors
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.simulate import simulate
 
 FOLDS = 4

@@ -9,7 +9,6 @@ import virtual_day as vd
 import yaml
 from datasets import JOINTS, as_dataset, measured, quiet, redrawn
 from scipy import stats
-from shared_models import new_model
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
@@ -26,6 +25,7 @@ from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.identification.prior import Knowledge
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from datasets import measured as measured_delta
 from datasets import quiet
-from shared_models import new_model
 from virtual_small import SliderCrank
 
+from parallel_cal.model.model import new_model
 from parallel_cal.virtual import robot as vr
 from parallel_cal.virtual.stewart import Assembly
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from datasets import measured
-from shared_models import new_model
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins
 from parallel_cal.virtual import robot as vr
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import virtual_day as vd
 from datasets import as_dataset, measured, redrawn
-from shared_models import new_model
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
@@ -18,7 +17,7 @@ from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model, write_model
-from parallel_cal.model.model import Noise
+from parallel_cal.model.model import Noise, new_model
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from datasets import measured, quiet
-from shared_models import new_model
 
 from parallel_cal.base.rotation import (
     nearest_rotation,
@@ -28,7 +27,7 @@ from parallel_cal.identification.registration import (
 )
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model
-from parallel_cal.model.model import Noise
+from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.simulate import simulate
 from parallel_cal.reporting.contents import HeldOutErrors

@@ -5,12 +5,12 @@ import pytest
 import virtual_findings as vf
 from datasets import measured
 from findings import hiding
-from shared_models import new_model
 
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
+from parallel_cal.model.model import new_model
 from parallel_cal.posterior.scene import Scene
 
 POSE = "x y z rx ry rz"

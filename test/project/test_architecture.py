@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -63,7 +64,7 @@ def test_the_mathematics_loads_without_scipy_rosbags_or_ros():
 
 def test_what_only_the_tables_of_the_documents_need_is_in_a_room_that_no_other_imports():
     """It is found by its name on the shelf, as all solvers and methods are."""
-    users = {file for file, others in GRAPH.items() if any(room(o) == "thesis" for o in others)}
+    users = {file for file, others in graph().items() if any(room(o) == "thesis" for o in others)}
     assert {room(file) for file in users} == {"thesis"}
     for shelf, names in {
         "kinematics.solvers": ("cascaded", "cascaded_circles", "fixed_newton", "ipr_compensation"),
@@ -99,7 +100,9 @@ def used(path):
                 yield longer if longer in MODULES else node.module
 
 
-GRAPH = {name: {m for m in used(path) if m in MODULES} for name, path in MODULES.items()}
+@cache
+def graph():
+    return {name: {m for m in used(path) if m in MODULES} for name, path in MODULES.items()}
 
 
 def room(name):
@@ -116,7 +119,7 @@ def test_each_test_is_in_the_folder_of_a_room():
 
 
 def test_rooms_import_downward_only_and_along_no_new_arrow():
-    arrows = {(room(a), room(b)) for a, its in GRAPH.items() for b in its} - {
+    arrows = {(room(a), room(b)) for a, its in graph().items() for b in its} - {
         (name, name) for name in ROOMS
     }
     upward = [(a, b) for a, b in arrows if ROOMS.index(a) < ROOMS.index(b)]
@@ -132,12 +135,12 @@ def test_no_file_imports_itself_in_a_circle():
             return
         assert name not in open_, [*open_[open_.index(name) :], name]
         open_.append(name)
-        for other in sorted(GRAPH[name]):
+        for other in sorted(graph()[name]):
             visit(other)
         open_.pop()
         done.add(name)
 
-    for name in sorted(GRAPH):
+    for name in sorted(graph()):
         visit(name)
 
 
@@ -175,7 +178,7 @@ def test_few_private_functions_are_called_only_once():
     """
     names = {module: PrivateNames().read(ast.parse(p.read_text())) for module, p in MODULES.items()}
     users = {module: {module} for module in MODULES}  # a subclass may call a private method
-    for module, imported in GRAPH.items():
+    for module, imported in graph().items():
         for one in imported:
             users[one].add(module)
     once = [
@@ -270,7 +273,7 @@ def test_functions_values_and_files_are_small_enough_to_read():
 def test_a_private_module_is_imported_by_its_own_folder_only():
     elsewhere = {
         (name, used)
-        for name, others in GRAPH.items()
+        for name, others in graph().items()
         for used in others
         if used.split(".")[-1].startswith("_")
         and used.rpartition(".")[0] != name.rpartition(".")[0]

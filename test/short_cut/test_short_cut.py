@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import virtual_short_cut as vs
 from bag_writing import Session, joint_states, text, write_bag
-from shared_models import new_model
 from tied import JOINTS, blind
 from virtual_small import Rssr
 
@@ -19,6 +18,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.rssr import Circle, compute_parameters
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.mechanism import Home
+from parallel_cal.model.model import new_model
 from parallel_cal.short_cut.identify import combine, identify, short_cut
 from parallel_cal.short_cut.loop import Loop, loop_model, loop_numbers
 from parallel_cal.virtual import robot as vr

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from clusters import cluster
 from datasets import measured as seen
-from shared_models import new_model
 
 from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.cli import main as cli
@@ -19,7 +18,7 @@ from parallel_cal.diagnosis.explanation import Causes
 from parallel_cal.fleet.jobs import FleetError
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import dump_model, write_model
-from parallel_cal.model.model import Noise
+from parallel_cal.model.model import Noise, new_model
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.simulate import simulate, with_noise
