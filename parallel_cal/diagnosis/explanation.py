@@ -143,7 +143,10 @@ class Explanation:
         for _, causes in doubt.sets[1:]:
             effects = _as_effects(causes)
             first = (one for one in self.best.chosen if one.name in self.first)
-            trial = self.search.fit_as_shown(*first, *effects, judged=False)
+            # A single step tells whether a fit is worth its time.
+            trial = self.search.fit_as_shown(*first, *effects, judged=False, once=True)
+            if trial.contradicts:
+                trial = self.search.fit_as_shown(*first, *effects, judged=False)
             if trial.contradicts:
                 [rival] = {one.name for one in effects} - own
                 found[rival] = trial.reason

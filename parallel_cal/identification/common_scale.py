@@ -19,11 +19,11 @@ from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
     MAX_UNSCALED_SHARE,
     MIN_COMMON_SCALE,
+    MIN_COMMON_SCALE_SIGMAS,
     MIN_SCALED_LENGTHS,
     UNKNOWN_TOLERANCES,
 )
 from parallel_cal.model.model import Model
-from parallel_cal.model.parameters import RANGE_MARGIN_SIGMAS
 from parallel_cal.model.sensor import Sensor
 
 
@@ -67,7 +67,7 @@ class CommonScale:
             spread = max(float(np.sqrt(np.mean(moved**2))), 1.0)
             excess = 1.0 / float(found.values[scale[0]]) - 1.0
             one = cls(excess, spread * float(found.covariance[scale[0], scale[0]]) ** 0.5, sensor)
-            if abs(excess) > max(RANGE_MARGIN_SIGMAS * one.sigma, MIN_COMMON_SCALE):
+            if abs(excess) > max(MIN_COMMON_SCALE_SIGMAS * one.sigma, MIN_COMMON_SCALE):
                 return one
         return None
 

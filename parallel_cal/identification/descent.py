@@ -18,6 +18,7 @@ from parallel_cal.identification.estimate import (
 from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.thresholds import (
+    MAX_DIRECTION_CHOICES,
     MAX_REPETITIONS,
     UNSEEN_CHANGE,
 )
@@ -122,7 +123,7 @@ def minimise(
         if (k > 0 and here.normal.has_converged) or last or ends or _gain_nothing(costs):
             seen = sought.compute_spectrum(here.system)
             better = sought.make_knowledge(here.system, seen)
-            if ends or choices >= MAX_REPETITIONS or known.is_close_to(better):
+            if ends or choices >= MAX_DIRECTION_CHOICES or known.is_close_to(better):
                 values = here.values.copy()
                 values[free] += here.normal.step(0.0)[0] if last else 0.0
                 found = make_estimate(sought, values, here.system, k, seen)

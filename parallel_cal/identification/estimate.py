@@ -12,6 +12,7 @@ from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.identification.thresholds import (
+    CONVERGED_STEP,
     REWEIGHTINGS,
     ROUNDING,
     UNSEEN_CHANGE,
@@ -145,7 +146,7 @@ class NormalEquations:
         """Whether nothing is left to gain, by the undamped step: a damped one may be short far from
         the minimum."""
         step, left = self.step(0.0)
-        short = np.max(np.abs(step / self._tolerance), initial=0.0) < ROUNDING
+        short = np.max(np.abs(step / self._tolerance), initial=0.0) < CONVERGED_STEP
         return bool(short or left < ROUNDING * self._chi2)
 
 

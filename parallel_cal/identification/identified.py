@@ -14,10 +14,14 @@ from parallel_cal.identification.image_poses import measure_image_noise
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
-from parallel_cal.identification.thresholds import MAX_NOISE_ROUNDS, MAX_REPETITIONS
+from parallel_cal.identification.thresholds import (
+    CONTRADICTED_SIGMAS,
+    LOOSENING,
+    MAX_NOISE_ROUNDS,
+    MAX_REPETITIONS,
+)
 from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.model import Model
-from parallel_cal.model.parameters import RANGE_MARGIN_SIGMAS
 
 
 @dataclass(frozen=True)
@@ -111,8 +115,8 @@ def _loosen_contradicted_tolerances(
     away = np.abs(estimate.values - table.nominal) / table.prior_sigma
     for effect in model.effects if estimate.spectrum.held else ():
         own = [i for i, p in enumerate(table) if free[i] and p.name.startswith(f"{effect.name}.")]
-        if np.max(away[own], initial=0.0) > RANGE_MARGIN_SIGMAS:
-            found |= {table[i].name: RANGE_MARGIN_SIGMAS * table[i].tolerance for i in own}
+        if np.max(away[own], initial=0.0) > CONTRADICTED_SIGMAS:
+            found |= {table[i].name: LOOSENING * table[i].tolerance for i in own}
     return replace(model, tolerances={**model.tolerances, **found}) if found else None
 
 

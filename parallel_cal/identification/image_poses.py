@@ -19,8 +19,8 @@ from parallel_cal.identification.thresholds import (
     IMAGE_POSE_STEPS,
     MAX_IMAGE_POSE_SIGMA_RATIO,
     MAX_SCORING_STEPS,
-    MIN_DOF,
-    MIN_NOISE_FACTOR,
+    MIN_IMAGE_NOISE_DOF,
+    MIN_IMAGE_NOISE_SHARE,
     RELATIVE_RANK,
 )
 from parallel_cal.model.model import Model
@@ -116,10 +116,10 @@ def measure_image_noise(model: Model, observations: Observations) -> Observation
         images = int(np.isfinite(residual).any(axis=1).sum())
         own_parameters = model.table.matching([f"{sensor.name}.*"]) & ~np.asarray(model.fixed)
         dof = rows - 6 * images - int(own_parameters.sum())
-        if dof < MIN_DOF:
+        if dof < MIN_IMAGE_NOISE_DOF:
             return observations
         measured = float(np.sqrt(np.nansum(residual**2) / dof))
-        sigma[:, own] = max(measured, MIN_NOISE_FACTOR * sensor.guessed_sigma)
+        sigma[:, own] = max(measured, MIN_IMAGE_NOISE_SHARE * sensor.guessed_sigma)
     known = tuple(kind for kind in observations.unknown if kind not in unknown)
     sources = dict(observations.noise_from)
     if not any(kind.channels.any() for kind in known):

@@ -21,6 +21,7 @@ from parallel_cal.identification.thresholds import (
     MAX_OUTLIER_SHARE,
     MAX_REPETITIONS,
     MIN_OUTLIER_RATIO,
+    MIN_OUTSTANDING_RATIO,
     REWEIGHTINGS,
 )
 from parallel_cal.model.model import Model
@@ -55,7 +56,7 @@ def find_outliers(
         Rms residual of each sample after the regression, in units of the typical one.
     """
     p, sizes = columns.shape[2], _relative_sizes(residual, informative)
-    if sizes.max(initial=0.0) <= MIN_OUTLIER_RATIO:
+    if sizes.max(initial=0.0) <= MIN_OUTSTANDING_RATIO:
         return np.zeros(0, dtype=int), sizes
     for round_ in range(REWEIGHTINGS):
         loss = LOSSES["huber" if round_ < REWEIGHTINGS // 2 else "cauchy"]
@@ -143,7 +144,7 @@ def search_outliers(
         return None
     if known is not None:
         sizes = _relative_sizes(known.residuals, known.informative)
-        if sizes.max(initial=0.0) <= MIN_OUTLIER_RATIO:
+        if sizes.max(initial=0.0) <= MIN_OUTSTANDING_RATIO:
             return None
     (free, _), prior = chosen_parameters(model, options), options.prior
     linearise = Linearisation(model, observations, free, True)

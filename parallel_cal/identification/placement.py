@@ -16,9 +16,9 @@ from parallel_cal.identification.frames import PosePairs
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.identification.thresholds import (
-    MAX_DISPLACEMENT_RAD,
     MIN_DOUBTFUL_SHARE,
     MIN_PLACEMENT_POSES,
+    MIN_PLACEMENT_TILT_RAD,
     MIN_UNREGISTERED_ERROR_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -117,5 +117,5 @@ def _compare(model: Model, view: View, reached: Solutions) -> PosePairs | None:
         view.R,
         measured=np.repeat(used[:, None], 6, axis=1),
         length=model.mechanism.length,
-        target_is_free=turned > MAX_DISPLACEMENT_RAD,
+        target_is_free=turned > MIN_PLACEMENT_TILT_RAD,
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.thresholds import RELATIVE_RANK, UNSEEN_CHANGE
+from parallel_cal.identification.thresholds import MAX_DIRECTION_CHANGE, RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import ParameterTable
 
@@ -94,9 +94,8 @@ class Knowledge:
     def is_close_to(self, other: Knowledge) -> bool:
         """Whether another knowledge is as strong along nearly the same directions."""
         size = max(float(np.abs(self.information).max(initial=0.0)), 1e-300)
-        return bool(
-            np.abs(other.information - self.information).max(initial=0.0) < UNSEEN_CHANGE * size
-        )
+        change = float(np.abs(other.information - self.information).max(initial=0.0))
+        return change < MAX_DIRECTION_CHANGE * size
 
     def gradient(self, values: np.ndarray) -> np.ndarray:
         """Half the derivative of `cost` by the free parameters, in tolerances."""

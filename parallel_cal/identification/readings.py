@@ -14,12 +14,17 @@ import numpy as np
 
 from parallel_cal.base.units import ANGLES, LARGE_UNITS, LENGTHS, UNITS
 from parallel_cal.identification.thresholds import (
-    MAX_RANGES,
+    MAX_ARC,
+    MAX_DISTANCE,
     MAX_SCALE_MISMATCH,
     MAX_SCALE_SAMPLES,
     MAX_SCALE_SPREAD,
+    MAX_SPAN,
+    MIN_CORRELATION,
+    MIN_POSE_SPAN,
     MIN_SCALE_CORRELATION,
     MIN_SCALE_SAMPLES,
+    MIN_TURNS,
     MOST_READINGS,
     SAME_UNIT,
 )
@@ -77,11 +82,13 @@ def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
         first, middle, last = np.quantile(q[:, i], [tail, 0.5, 1 - tail])
         span = (last - first) / width
         away = max(low - middle, middle - high, 0.0) / width
-        absurd = span > MAX_RANGES
         if not turn:
-            absurd |= away > MAX_RANGES
-        elif width < MOST_READINGS * turn:  # without whole turns they can still be seen
-            absurd &= _arc(q[:, i], turn) > width
+            absurd = span > MAX_SPAN or away > MAX_DISTANCE
+        elif MAX_ARC * width < MOST_READINGS * turn:  # without whole turns they can still be seen
+            goes_round = last - first > MIN_TURNS * turn
+            absurd = goes_round and span > MAX_SPAN and _arc(q[:, i], turn) > MAX_ARC * width
+        else:
+            absurd = span > MAX_DISTANCE
         excess[i] = max(span, away) if absurd else 0.0
     return excess
 
@@ -111,8 +118,9 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
     # disagree: some are not correlated with their readings, or all by different factors.
     middle = np.median(moved, axis=0)
     inside = (low - width < middle) & (middle < high + width)
-    used = np.flatnonzero(~limited | inside)
-    scales = [_scale(read[:, i], moved[:, i]) for i in used]
+    moves = np.ptp(moved, axis=0) > MIN_POSE_SPAN * width
+    used = np.flatnonzero(~limited | (inside & moves))
+    scales = [_scale(read[:, i], moved[:, i], MIN_SCALE_CORRELATION) for i in used]
     if not scales or None in scales:
         return factor
     size = np.log(np.abs(np.array(scales, float)))
@@ -145,7 +153,7 @@ def _guess(
     entry = f"{model.joints[i]}: {{{{column: ..., unit: {{}}}}}}"  # of the column map
     cure = f"state it in the column map ({entry}; see docs/import_csv.md), or publish them in {{}}"
     solved, moved = _readings_and_motion(model, x, measured, a)
-    if scale := _scale(solved[:, i], moved[:, i]) or factor:
+    if scale := _scale(solved[:, i], moved[:, i], MIN_CORRELATION) or factor:
         units = LENGTHS if unit == "m" else ANGLES
         twice = [k for k, v in units.items() if v != 1 and _is_same(abs(scale) * v, 1.0)]
         if twice:
@@ -206,7 +214,7 @@ def _readings_and_motion(
     return x[given[found.solved], :n], found.joints[found.solved]
 
 
-def _scale(read: np.ndarray, moved: np.ndarray) -> float | None:
+def _scale(read: np.ndarray, moved: np.ndarray, min_correlation: float) -> float | None:
     """Return the motion of a joint (m or rad) per unit of its reading.
 
     None if the poses do not determine it, for example in an unknown frame.
@@ -214,7 +222,7 @@ def _scale(read: np.ndarray, moved: np.ndarray) -> float | None:
     if len(read) < 3 or np.ptp(read) == 0 or np.ptp(moved) == 0:
         return None
     (variance, covariance), (_, other) = np.cov(read, moved)
-    if abs(covariance) < MIN_SCALE_CORRELATION * np.sqrt(variance * other):
+    if abs(covariance) < min_correlation * np.sqrt(variance * other):
         return None
     # Noise and a rough geometry blur both ways: the ratio of the spreads is in the middle.
     return float(np.sign(covariance) * np.sqrt(other / variance))

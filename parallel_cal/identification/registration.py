@@ -35,6 +35,7 @@ from parallel_cal.identification.thresholds import (
     MAX_DISPLACEMENT_RAD,
     MAX_REMAINING_SHARE,
     MAX_REMAINING_SHARE_IDENTIFIED,
+    MAX_UNCERTAIN_TILT_RAD,
     MIN_EXPLAINED_ERROR_RATIO,
     MIN_FRAME_COLUMN_REMAINDER,
     MIN_REGISTRATION_POSES,
@@ -308,7 +309,9 @@ class DevicePoses(PosePairs):
         ]
         away = turns_from_mean(reached.rotation[solved])
         # Wide tolerances must not hide a rotation that nobody mistakes for an error.
-        allowed = min(float(np.median(np.sum(spread[:, 3:] ** 2, axis=1))), MAX_DISPLACEMENT_RAD**2)
+        allowed = min(
+            float(np.median(np.sum(spread[:, 3:] ** 2, axis=1))), MAX_UNCERTAIN_TILT_RAD**2
+        )
         tilts = bool(np.mean(np.sum(away**2, axis=1)) > allowed) and moves[1]
         return cls(
             reached.position,

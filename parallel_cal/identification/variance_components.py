@@ -20,8 +20,8 @@ from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import ESTIMATED, Observations
 from parallel_cal.identification.robust import reweight
 from parallel_cal.identification.thresholds import (
+    CONVERGED_NOISE_RATIO,
     ENOUGH_SAMPLES,
-    MAX_NEGLIGIBLE_ERROR_RISE,
     MAX_NOISE_SHARE_SIGMA,
     MAX_SCORING_STEPS,
     MIN_NOISE_FACTOR,
@@ -51,7 +51,7 @@ class EstimatedNoise:
     def differs_from(self, other: EstimatedNoise) -> bool:
         """Whether a standard deviation differs noticeably from another estimate."""
         change = np.abs(np.log(self.factors / other.factors)).max(initial=0.0)
-        return bool(change > np.log1p(MAX_NEGLIGIBLE_ERROR_RISE))
+        return bool(change > np.log(CONVERGED_NOISE_RATIO))
 
 
 def estimate_noise(
@@ -195,8 +195,8 @@ class _Rows:
         for _ in range(MAX_SCORING_STEPS):
             change, covariance, share = self._score(groups, self._factors(groups, variance))
             variance = np.maximum(variance * change, MIN_NOISE_FACTOR**2)
-            if np.abs(np.log(np.maximum(change, MIN_NOISE_FACTOR))).max() < np.log1p(
-                MAX_NEGLIGIBLE_ERROR_RISE
+            if np.abs(np.log(np.maximum(change, MIN_NOISE_FACTOR))).max() < np.log(
+                CONVERGED_NOISE_RATIO
             ):
                 break
         return _Solution(self._factors(groups, variance), covariance, share)

@@ -183,6 +183,8 @@ def test_small_readings_are_accepted_unless_the_poses_prove_the_mismatch():
     observe(stewart(), data.select(np.arange(9)))
     noisy = data.q + 1e-4 * np.random.default_rng(0).standard_normal(data.q.shape)
     observe(stewart(), replace(data, q=noisy))
+    # The poses span less than a twentieth of the joints' range.
+    observe(stewart((0.0, 20.0)), data)
 
 
 @pytest.mark.parametrize("scale", [1e3, 1e-3, 1 / 0.0712])
