@@ -479,11 +479,11 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         table = [line for line in lines if not line.startswith("#")]
         assert table[0].startswith("x [m],y [m],z [m],qx,qy,qz,qw,joint1 [rad]")
         assert len(table) == 9
-        # The poses that the diagnosis plans distinguish two effects.
+        # The poses that the diagnosis plans decide between two effects.
         with page.expect_download() as download:
             page.get_by_role("button", name="download distinguish_effects.csv").click()
         text = Path(download.value.path()).read_text()
-        assert re.search("# These .* distinguish backlash from hysteresis by .* sigmas", text)
+        assert re.search(r"# \d+ planned poses .* the robot has backlash or hysteresis", text)
         assert "past.joint1 [rad]" in text
         assert "Drive to the joints past.* first" in text
 
