@@ -15,7 +15,7 @@ from parallel_cal.diagnosis.statistics import bonferroni_minimum, morans_i, runs
 from parallel_cal.diagnosis.thresholds import (
     LENGTHS,
     LEVELS,
-    MAX_SHOWN_POINTS,
+    MAX_MAP_POSES,
     MIN_VARIATION_RATIO,
     ROUGHNESS,
 )
@@ -135,8 +135,8 @@ def smooth_map(scene: Scene, field: Field) -> SmoothMap:
     coordinates = scene.x[:, n : n + 3] if position else scene.x[:, :n]
     places = average_groups(coordinates, group)
     thinned = (
-        np.unique(np.linspace(0, len(e) - 1, MAX_SHOWN_POINTS).astype(int))
-        if len(e) > MAX_SHOWN_POINTS
+        np.unique(np.linspace(0, len(e) - 1, MAX_MAP_POSES).astype(int))
+        if len(e) > MAX_MAP_POSES
         else ...
     )
     e, places = e[thinned], places[thinned]

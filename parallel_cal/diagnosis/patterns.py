@@ -17,7 +17,8 @@ from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regress
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
 from parallel_cal.diagnosis.thresholds import (
     LEVELS,
-    MAX_SHOWN_POINTS,
+    MAX_PROFILE_POINTS,
+    MAX_WINDOWS,
     MIN_INFLUENTIAL_COOKS_DISTANCE,
     OUTLIER_SIGNIFICANCE_LEVEL,
     WINDOW,
@@ -68,7 +69,7 @@ def compute_mean_profile(name: str, values: np.ndarray, z: np.ndarray) -> Residu
         count = np.array([np.count_nonzero(values == level) for level in levels])
         at = levels
     else:
-        window = min(WINDOW, max(3, len(z) // 4))
+        window = min(max(WINDOW, len(z) // MAX_WINDOWS), max(3, len(z) // 4))
         means, at = _rolling(z[order], window), _rolling(values[order][:, None], window)[:, 0]
         count = np.full(len(means), window)
     scale = np.maximum(z.std(axis=0), 1e-12)
@@ -77,7 +78,7 @@ def compute_mean_profile(name: str, values: np.ndarray, z: np.ndarray) -> Residu
     p_value = min(1.0, 2 * each.size * normal_below(-strength))
     band = SIGMAS_AT_SIGNIFICANCE_LEVEL / np.sqrt(count)
     # Neighbouring rolling means share most of their samples: of many, some show the same course.
-    few = np.unique(np.linspace(0, len(at) - 1, min(len(at), MAX_SHOWN_POINTS)).astype(int))
+    few = np.unique(np.linspace(0, len(at) - 1, min(len(at), MAX_PROFILE_POINTS)).astype(int))
     return ResidualProfile(
         name, at[few], means[few], band[few], strength, p_value, runs_test(z[order])
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.diagnosis.thresholds import CREDIBLE, POOL
+from parallel_cal.diagnosis.thresholds import MIN_POSES_BEYOND_REGION, POOL
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.registration import SENSOR, shows_pose
@@ -76,7 +76,7 @@ class Region:
             return None
         away = np.abs(pool.poses.position - (low + high) / 2)[:, axes]
         outside = (away > (0.5 + REGION_MARGIN) * (high - low)[axes]).any(axis=1)
-        if outside.mean() < 1 - CREDIBLE:  # so few are no region of their own
+        if outside.sum() < MIN_POSES_BEYOND_REGION:
             return None
         G = prediction_blocks(robot, free, np.ones(len(robot.structure.scale), bool), pool)[:, :3]
         variance = np.einsum("nij,jk,nik->n", G, covariance[np.ix_(free, free)], G)

@@ -41,6 +41,9 @@ MAX_MISTRUSTED_SHARE = 0.25  # of the samples: a robust loss excludes at most so
 MIN_SLOW_CORRELATION = 0.5  # [1, 8]
 MIN_EXPLAINED_SHARE = 0.7  # of the variance above the noise floor [0, 59]
 
+# Where a verdict holds
+MIN_POSES_BEYOND_REGION = 15  # of POOL poses in the workspace: fewer are no region of their own
+
 # Which effects are lookalikes
 # canonical correlation above which two effects are one entry
 MIN_CONFUSED_CORRELATION = 0.9  # [75, 75]
@@ -56,8 +59,10 @@ NEIGHBOURS = 7  # of a sample, in Moran's I [0, 0]
 PERMUTATIONS = 999  # of the samples, for a p-value ...
 ENOUGH_COPIES = 30  # ... until so many are as extreme: then it is known to a fifth [73, 72]
 MIN_PERMUTATION_P = 1e-12  # the moments of permutations show no smaller one
-WINDOW = 15  # samples of a rolling mean
-MAX_SHOWN_POINTS = 400  # of a rolling mean; poses of the map: its cost grows with their cube [1, 1]
+WINDOW = 15  # samples of a rolling mean, or more if this gives more than MAX_WINDOWS of them
+MAX_WINDOWS = 200
+MAX_PROFILE_POINTS = 500  # at which a rolling mean is given
+MAX_MAP_POSES = 400  # poses of the map: its cost grows with their cube [1, 1]
 # times the scatter of readings: a coordinate that varies less is not tested
 MIN_VARIATION_RATIO = 20.0  # [0, 0]
 LEVELS = 5  # a quantity with so few values has one mean for each: nothing rolls or bends [2, 0]
