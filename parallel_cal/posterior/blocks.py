@@ -95,33 +95,20 @@ class Block:
     def _turned(self) -> dict[int, np.ndarray]:
         return {}
 
-    def own(self, setting: int) -> np.ndarray:
-        """Mask of the columns that one setting has: others may have more."""
-        return np.asarray(self.squares[setting] > 0)
-
     def at(self, setting: int) -> np.ndarray:
         """The orthogonal columns (n, k) of one setting, made once."""
         if setting not in self._turned:
             B = self.columns[setting]
-            self._turned[setting] = B @ self.turns[setting, : B.shape[1], self.own(setting)].T
+            self._turned[setting] = B @ self.turns[setting, : B.shape[1]]
         return self._turned[setting]
 
-    @cached_property
-    def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:
-        return {}
-
-    def times(self, other: Block, setting: int) -> np.ndarray:
-        """The products (c, m, k) of the columns of one setting of another block with those of all
-        settings, computed once."""
-        key = setting, id(other)
-        if key not in self._products:  # with the other block, so that its id stays its own
-            columns = other.at(setting).T
-            products = [
-                columns @ B @ turn[: B.shape[1]]
-                for B, turn in zip(self.columns, self.turns, strict=True)
-            ]
-            self._products[key] = other, np.stack(products, axis=1)
-        return self._products[key][1]
+    def times(self, columns: np.ndarray) -> np.ndarray:
+        """The products (c, m, k) of other columns (n, c) with those of all settings."""
+        products = [
+            columns.T @ B @ turn[: B.shape[1]]
+            for B, turn in zip(self.columns, self.turns, strict=True)
+        ]
+        return np.stack(products, axis=1)
 
     @cached_property
     def alone(self) -> Stack:
@@ -168,7 +155,16 @@ class Stack:
         """Rankings of these blocks beside chosen causes, for all searches that share them."""
         return {}
 
+    @cached_property
+    def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:
+        return {}
+
     def times(self, other: Block, setting: int) -> np.ndarray:
         """The products (c, m, k) of the columns of one setting of another block with those of all
-        settings."""
-        return np.concatenate([block.times(other, setting) for block in self.blocks], axis=1)
+        settings, computed once."""
+        key = setting, id(other)
+        if key not in self._products:  # with the other block, so that its id stays its own
+            columns = other.at(setting)
+            products = np.concatenate([block.times(columns) for block in self.blocks], axis=1)
+            self._products[key] = other, products
+        return self._products[key][1]

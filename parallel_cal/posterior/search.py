@@ -17,7 +17,6 @@ MAX_ROUNDS = 4
 # Of the evidence for a wave, at most this share is lost between two numbers that are scanned: they
 # are half a peak's width apart, and sinc(1/4)^2 = 0.81.
 SCAN_LOSS = 0.25
-EQUAL = 1e-6  # of the logarithm: less is rounding
 NO_RIVAL = 7.0  # of the logarithm: a set that is less likely by more need not be known well
 MAX_FIRST = 4  # effects that are tried as one of two in the place of one
 
@@ -105,57 +104,60 @@ class Sum:
         near; sum over the sets nearby."""
         nu = self.nu
         for k, one in enumerate(chosen):
-            rest = self.evidence(chosen, nu).without(k)
+            rest = self.evidence(chosen[:k] + chosen[k + 1 :], nu)
             chosen = (*chosen[:k], self._refined(rest, one), *chosen[k + 1 :])
         if chosen:
-            chosen = self._prune(self._polish(self.evidence(chosen, nu))).chosen
+            chosen = self._prune(self._polish(chosen, nu), nu)
         while sum(one.block.kind != KNOCK for one in chosen) < MAX_CAUSES:
             now = self.evidence(chosen, nu)
             if self.stated:
                 nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
                 now = self.evidence(chosen, nu)
-            more = self._grow(now) or self._split(now)
+            more = self._grow(now, nu) or self._split(now, nu)
             if more is None:
                 break
-            chosen = more.chosen
+            chosen = more
         if self.stated:
             nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
         return self._sum_nearby(chosen, nu)
 
-    def _grow(self, now: Evidence) -> Evidence | None:
+    def _grow(self, now: Evidence, nu: float) -> tuple[Choice, ...] | None:
         """A likelier set with one cause more, each chosen again beside the others; None if there
         is none."""
-        ranked = self.rank(now, {one.block.name for one in now.chosen})
+        names = {one.block.name for one in now.chosen}
+        ranked = self.rank(now, names)
         if not ranked or ranked[0].log_p <= now.log_p:
             return None
-        return self._settle((*now.chosen, self._find_best(now, ranked)), now)
+        more = self._polish((*now.chosen, self._find_best(now, ranked)), nu)
+        return self._if_likelier(self._prune(more, nu), now, nu)
 
-    def _split(self, now: Evidence) -> Evidence | None:
+    def _split(self, now: Evidence, nu: float) -> tuple[Choice, ...] | None:
         """A likelier set with an effect and another cause in the place of one that may imitate them
         together; None if there is none."""
         names = {one.block.name for one in now.chosen}
         for k, one in enumerate(now.chosen):
             if one.block.kind == KNOCK:  # it imitates nothing
                 continue
-            without = now.without(k)
+            rest = now.chosen[:k] + now.chosen[k + 1 :]
+            without = self.evidence(rest, nu)
             ranked = [other for other in self.rank(without, names) if other.log_p > without.log_p]
             effects = [other for other in ranked if other.best.block.kind == EFFECT]
             for first in effects[:MAX_FIRST]:  # each explains part of what the one imitates
-                beside = self.evidence((*without.chosen, first.best), now.nu)
+                beside = self.evidence((*rest, first.best), nu)
                 seconds = self.rank(beside, {*names, first.best.block.name})
                 if seconds and seconds[0].log_p > now.log_p:
-                    more = (*beside.chosen, seconds[0].best)
-                    if likelier := self._settle(more, now):
+                    more = self._polish((*rest, first.best, seconds[0].best), nu)
+                    if likelier := self._if_likelier(self._prune(more, nu), now, nu):
                         return likelier
         return None
 
-    def _settle(self, chosen: tuple[Choice, ...], now: Evidence) -> Evidence | None:
-        """The evidence of other causes, each chosen again beside the others, if it is not less than
-        that of those chosen now."""
-        more = self._prune(self._polish(self.evidence(chosen, now.nu)))
-        if {one.block.name for one in more.chosen} == {one.block.name for one in now.chosen}:
+    def _if_likelier(
+        self, more: tuple[Choice, ...], now: Evidence, nu: float
+    ) -> tuple[Choice, ...] | None:
+        """Other causes, if their evidence is not less than that of those chosen now."""
+        if {one.block.name for one in more} == {one.block.name for one in now.chosen}:
             return None
-        return more if more.log_p >= now.log_p else None
+        return more if self.evidence(more, nu).log_p >= now.log_p else None
 
     def choose(self, blocks: Sequence[Block]) -> tuple[Choice, ...]:
         """The likeliest setting and size of each of these causes beside all others."""
@@ -163,7 +165,7 @@ class Sum:
         for _ in range(MAX_ROUNDS):
             before = chosen
             for k, one in enumerate(chosen):
-                rest = self.evidence(chosen, self.nu).without(k)
+                rest = self.evidence(chosen[:k] + chosen[k + 1 :], self.nu)
                 chosen = (*chosen[:k], rest.rank(one.block.alone)[0].best, *chosen[k + 1 :])
             if chosen == before:
                 break
@@ -192,39 +194,41 @@ class Sum:
             return one
         return max(one, *beside.rank(best.block.alone), key=lambda ranked: ranked.log_p)
 
-    def _polish(self, now: Evidence) -> Evidence:
+    def _polish(self, chosen: tuple[Choice, ...], nu: float) -> tuple[Choice, ...]:
         """Choose each cause again beside all others, until they stay."""
         for _ in range(MAX_ROUNDS):
-            before = [one.block.name for one in now.chosen]
-            for k, one in enumerate(now.chosen):
-                beside = now.without(k)
-                likeliest = self.rank(beside, {other.block.name for other in beside.chosen})[0]
-                same = likeliest.best.block.name == one.block.name
-                if same and likeliest.highest <= now.log_p + EQUAL:
+            before = [one.block.name for one in chosen]
+            for k in range(len(chosen)):
+                rest = chosen[:k] + chosen[k + 1 :]
+                beside = self.evidence(rest, nu)
+                own = self.evidence((*rest, chosen[k]), nu).log_p
+                likeliest = self.rank(beside, {one.block.name for one in rest})[0]
+                same = likeliest.best.block.name == chosen[k].block.name
+                if same and own >= self.evidence((*rest, likeliest.best), nu).log_p:
                     continue  # its refined settings stay: no scanned one is better
-                if self._highest(beside, likeliest) <= now.log_p + EQUAL:
+                if self._highest(beside, likeliest) <= own:
                     continue
-                peak = self._at_peak(beside, likeliest)
-                if peak.highest > now.log_p + EQUAL:
-                    chosen = (*now.chosen[:k], peak.best, *now.chosen[k + 1 :])
-                    now = self.evidence(chosen, now.nu)
-            if before == [one.block.name for one in now.chosen]:
+                peak = self._at_peak(beside, likeliest).best
+                if self.evidence((*rest, peak), nu).log_p > own:
+                    chosen = (*chosen[:k], peak, *chosen[k + 1 :])
+            if before == [one.block.name for one in chosen]:
                 break
-        return now
+        return chosen
 
-    def _prune(self, now: Evidence) -> Evidence:
+    def _prune(self, chosen: tuple[Choice, ...], nu: float) -> tuple[Choice, ...]:
         """Remove causes without which the rest is likelier."""
-        while now.chosen:
-            without = [now.without(k) for k in range(len(now.chosen))]
+        while chosen:
+            parts = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
+            without = [self.evidence(rest, nu) for rest in parts]
             gains = [
                 self._marginal(rest, one) - rest.log_p
-                for rest, one in zip(without, now.chosen, strict=True)
+                for rest, one in zip(without, chosen, strict=True)
             ]
             least = int(np.argmin(gains))
             if gains[least] > 0:
                 break
-            now = self.evidence(without[least].chosen, now.nu)
-        return now
+            chosen = parts[least]
+        return chosen
 
     def _marginal(self, rest: Evidence, one: Choice) -> float:
         """Log posterior of one cause beside the rest, over all its settings and sizes."""
@@ -237,7 +241,7 @@ class Sum:
         now = self.evidence(chosen, nu)
         sets: dict[frozenset[str], float] = {}
         # What each cause gains by its other settings and sizes.
-        without = [now.without(k) for k in range(len(chosen))]
+        without = [self.evidence(chosen[:k] + chosen[k + 1 :], nu) for k in range(len(chosen))]
         gains = [
             self._marginal(rest, one) - now.log_p for rest, one in zip(without, chosen, strict=True)
         ]

@@ -242,20 +242,3 @@ def test_rows_that_say_nothing_are_left_out_and_change_no_sum():
     assert (scene.rows, set(scene.informative.tolist())) == (3, {3})
     assert scene.residual @ scene.residual == pytest.approx(found.estimate.chi2, rel=1e-3)
     assert scene.dof == 3 * len(data) - scene.basis.shape[1]
-
-
-def test_without_a_cause_the_evidence_follows_from_that_of_the_whole_set():
-    """With fewer chosen columns than the others have, and with more."""
-    scene, blocks = drawn(1, of=(0, 2), causes=6)
-    squares = float(scene.residual @ scene.residual)
-    wide = Block.of(scene, "wide", EFFECT, 0.0, [np.random.default_rng(5).normal(size=(40, 7))])
-    chosen = tuple(Choice(block, 0, 2) for block in blocks[:4])
-    for stack in (blocks[5].alone, wide.alone):
-        whole = Evidence(squares, scene.dof, UNKNOWN, chosen[: 2 if stack is wide.alone else 4])
-        for k in range(len(whole.chosen)):
-            rest = whole.without(k)
-            plain = Evidence(squares, scene.dof, UNKNOWN, rest.chosen)
-            assert rest.log_p == pytest.approx(plain.log_p, abs=1e-9)
-            np.testing.assert_allclose(rest.weigh(stack), plain.weigh(stack), atol=1e-9)
-            less, other = rest.without(0), Evidence(squares, scene.dof, UNKNOWN, rest.chosen[1:])
-            np.testing.assert_allclose(less.weigh(stack), other.weigh(stack), atol=1e-9)
