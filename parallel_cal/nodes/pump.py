@@ -87,6 +87,13 @@ class Pump:
         return bool(self._subscription.qos_profile.reliability == ReliabilityPolicy.RELIABLE)
 
     def _run(self) -> None:
+        try:
+            self._pump()
+        except rclpy_implementation.RCLError:
+            if self._node.context.ok():
+                raise  # else the process ends, which nobody tells this thread beforehand
+
+    def _pump(self) -> None:
         handle, type = self._subscription.handle, self._subscription.msg_type
         events, context = self._subscription.event_handlers, self._node.context
         with context.handle:

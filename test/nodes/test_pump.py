@@ -1,5 +1,6 @@
 """A subscription with a thread of its own: what the executor beside it notices of a stream."""
 
+import threading
 import time
 from itertools import count
 from threading import Event
@@ -11,6 +12,7 @@ rclpy = pytest.importorskip("rclpy")
 
 from rcl_interfaces.msg import Log  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.impl.implementation_singleton import rclpy_implementation  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
@@ -109,3 +111,29 @@ def test_what_came_in_counts_as_read_only_once_it_was_handed_over(node):
     wait_until(executor, lambda: pump.read_until > handing[0])
     pump.end()
     assert len(taken) == 1
+
+
+def test_a_process_that_ends_while_a_pump_starts_gets_no_traceback(node, monkeypatch):
+    """As after Ctrl-C while a node is made; any other error is still raised."""
+    uncaught, make = [], rclpy_implementation.WaitSet
+    monkeypatch.setattr(threading, "excepthook", lambda error: uncaught.append(error.exc_type))
+
+    def after_the_end(*arguments):
+        rclpy.try_shutdown(context=node.context)
+        return make(*arguments)
+
+    monkeypatch.setattr(rclpy_implementation, "WaitSet", after_the_end)
+    Pump(node, JointState, "joint_states", QOS, print).end()
+    assert uncaught == []
+
+
+def test_an_error_of_a_pump_in_a_process_that_goes_on_is_raised(node, monkeypatch):
+    uncaught = []
+    monkeypatch.setattr(threading, "excepthook", lambda error: uncaught.append(error.exc_type))
+    monkeypatch.setattr(rclpy_implementation, "WaitSet", fail)
+    Pump(node, JointState, "joint_states", QOS, print).end()
+    assert uncaught == [rclpy_implementation.RCLError]
+
+
+def fail(*arguments):
+    raise rclpy_implementation.RCLError("no wait set")
