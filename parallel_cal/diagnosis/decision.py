@@ -119,8 +119,7 @@ class Undecided:
     @classmethod
     def between(cls, best: Trial, sets: Mapping[str, Chosen]) -> Undecided | None:
         """From the fit of a model and effects by name, one of which it has: the samples tell none
-        of them from another, however large it is. Those that contradict the model are left out;
-        None if only one is left."""
+        of them from another, however large it is. None if all but one contradict the model."""
         model, known = best.fitted.model, dict[str, Chosen]()
         for words, one in sets.items():
             has = {effect.name for effect in model.effects}
@@ -202,8 +201,8 @@ def _list_possible(
     """The set of effects that was found, and those with a rival in the place of one of them, the
     likeliest first with their probabilities; the model with all of these effects.
 
-    What is no effect (noise that drifts, a knocked sample, a field of the device) is left out: it
-    predicts nothing of further poses. So is a larger mechanism, which has other rows.
+    What is no effect (noise that drifts, a knocked sample, a field of the device) is in no set: it
+    predicts nothing of further poses. Nor is a larger mechanism, which has other rows.
     """
     sets = list[tuple[float, tuple[Choice, ...]]]()
     for p, causes in sorted(doubt.sets, key=lambda one: -one[0]):

@@ -1,16 +1,11 @@
 """Limits that decide in a diagnosis, each with its meaning.
 
-In brackets: in how many of 78 sessions a decision would have been another with half and with twice
-the value (with the one session by name): ten tables of a foreign generator, the recordings of
-`bags/`, the machines of `real/`, and 44 drawn by `bench.truth.probabilities`. A decision is one
-comparison: where a search ends or a picture is thinned, no verdict follows from it. Of merged
-limits all sessions count, at the values that they had. Without brackets no session compared
-anything with the limit: tests and the sentence beside it do.
+In brackets: how many sessions depend on them, as in `identification/thresholds.py`.
 """
 
 # Significance
 # probability of what is named: a cause among those named for it, an effect whatever the noise is,
-# the sign of a term; with less than the rest of it, something is left out of account
+# the sign of a term; what has less than the rest of it does not count
 CREDIBLE = 0.95
 # of the variance of a slow mean, by correlated noise: less hardly changes a sigma
 MIN_INFLATION = 1.5  # [1, 0: warmth]
