@@ -146,7 +146,7 @@ class Scan:
         )
         # Further digits are not known, and a person copies the number.
         decimals = -int(np.floor(np.log10(KEPT_DIGITS * (high - low))))
-        found = {**start, key: round(float(optimum.x), decimals)}
+        found = {**start, key: min(max(round(float(optimum.x), decimals), low), high)}
         after, before = self.weigh(found), self.weigh(start)
         return (after, found) if after > before else (before, dict(start))
 
@@ -194,11 +194,17 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
 
 
 def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
-    """The settings of an effect that its `scan` proposes, rounded where a number is continuous."""
-    found = effect.scan(scene.model.mechanism, collect_recorded_values(scene.dataset))
+    """The settings of an effect that its `scan` proposes, rounded where a number is continuous, but
+    not beyond the ends of the scan: these may be physical bounds."""
+    found = list(effect.scan(scene.model.mechanism, collect_recorded_values(scene.dataset)))
     if not effect.refines:
-        return list(found)
-    return [{key: float(f"{value:.{DIGITS}g}") for key, value in one.items()} for one in found]
+        return found
+    each = {key: [one[key] for one in found if key in one] for one in found for key in one}
+
+    def shorten(key: str, value: float) -> float:
+        return min(max(float(f"{value:.{DIGITS}g}"), min(each[key])), max(each[key]))
+
+    return [{key: shorten(key, value) for key, value in one.items()} for one in found]
 
 
 def choose_setting(

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import parallel_cal as pc
-from parallel_cal.causes.effects import list_effect_blocks
+from parallel_cal.causes.effects import list_effect_blocks, scan_settings
 from parallel_cal.diagnosis.addition import see
 from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.shelf import load_effect
 
 LEGS = [f"leg{k}" for k in range(1, 7)]
 LEAD, SIZES = 5.36e-3, 3e-6 * np.array([1.0, -1.1, -1.2, 0.8, 1.0, -1.0])
@@ -75,3 +77,13 @@ def test_each_set_of_columns_says_how_large_its_parameters_are():
                 expected = (block.columns[0] * own)[:, own > 0]
                 np.testing.assert_allclose(columns, expected, rtol=1e-9)
     assert usual == {"encoder_gain": [1.0, 50.0], "screw_pitch_error": [1.0]}
+
+
+@pytest.mark.parametrize("name", ["hysteresis", "gear_transmission_error"])
+def test_a_model_with_any_setting_of_a_scan_can_be_written_and_read(name):
+    """A width of 1/450 rad is a bound: with six digits it would be below it."""
+    model = new_model("delta54")
+    scene = see(pc.fit(model, pc.simulate(model, 30, 1).dataset(), hold_out=0))
+    for setting in scan_settings(scene, load_effect(name)):
+        again = parse_model(dump_model(model.with_effect(name, setting)))
+        assert again.effects[0].name == name
