@@ -80,7 +80,7 @@ def _plan(
     poses can tell no pair."""
     so_far = found.dataset.conditions
     may = find_allowed_changes(so_far, changes)
-    for one in pair_laws(found, options):
-        if targets := plan_deciding_targets(one.doubt, so_far, guard, n, left, may, seed):
+    for doubt in pair_laws(found, options):
+        if targets := plan_deciding_targets(doubt, so_far, guard, n, left, may, seed):
             return tuple(targets)
     return ()

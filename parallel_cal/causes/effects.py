@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -199,10 +200,15 @@ def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
     found = list(effect.scan(scene.model.mechanism, collect_recorded_values(scene.dataset)))
     if not effect.refines:
         return found
-    each = {key: [one[key] for one in found if key in one] for one in found for key in one}
+    each = defaultdict[str, list[float]](list)
+    for one in found:
+        for key, value in one.items():
+            each[key].append(value)
+    ends = {key: (min(values), max(values)) for key, values in each.items()}
 
     def shorten(key: str, value: float) -> float:
-        return min(max(float(f"{value:.{DIGITS}g}"), min(each[key])), max(each[key]))
+        low, high = ends[key]
+        return min(max(float(f"{value:.{DIGITS}g}"), low), high)
 
     return [{key: shorten(key, value) for key, value in one.items()} for one in found]
 

@@ -18,8 +18,7 @@ def import_(
         str,
         typer.Argument(
             help="rrf, klipper, marlin, linuxcnc, fluidnc, touches, table or images; or the Python "
-            "path of your own "
-            "importer"
+            "path of your own importer"
         ),
     ],
     files: Annotated[

@@ -58,7 +58,7 @@ class Comparison(ShownInNotebook):
     errors : Errors
         Errors of the model at each sample; `errors.summary` holds their means and rms.
     noise_floor : NoiseFloor
-        What the noise alone would show; `noise` is its summary.
+        The error that the noise alone would cause; `noise` is its summary.
     given : GivenModel
         The model as it was given.
     registration : Registration or None

@@ -122,12 +122,7 @@ class Undecided:
         of them from another, however large it is. None if all but one contradict the model."""
         model, known = best.fitted.model, dict[str, Chosen]()
         for words, one in sets.items():
-            has = {effect.name for effect in model.effects}
-            try:
-                wider = model if one.name in has else model.with_effect(one.name, one.settings)
-            except ModelError:
-                continue
-            if wider.mechanism is model.mechanism:
+            if (wider := _extend(model, {one.name: one.settings})) is not None:
                 model, known[words] = wider, one
         each = [
             ((words,), 1 / len(known), {one.name: VAGUE_INFORMATION**-0.5})
@@ -209,17 +204,24 @@ def _list_possible(
         chosen = tuple(one for one in causes if one.block.kind == EFFECT)
         if any(load_effect(one.block.name).widens for one in chosen):
             continue
-        has, wider = {effect.name for effect in model.effects}, model
-        try:
-            for one in chosen:
-                if one.block.name not in has:
-                    wider = wider.with_effect(one.block.name, one.block.settings[one.setting])
-        except ModelError:  # it contradicts an effect of a likelier set
-            continue
-        if wider.mechanism is model.mechanism:
+        settings = {one.block.name: one.block.settings[one.setting] for one in chosen}
+        if (wider := _extend(model, settings)) is not None:
             model = wider
             sets.append((p, chosen))
     return model, sets
+
+
+def _extend(model: Model, settings: Mapping[str, Mapping[str, float]]) -> Model | None:
+    """The model with those of these effects that it has not; None if one contradicts it, or is a
+    larger mechanism."""
+    has, wider = {effect.name for effect in model.effects}, model
+    try:
+        for name, numbers in settings.items():
+            if name not in has:
+                wider = wider.with_effect(name, numbers)
+    except ModelError:
+        return None
+    return wider if wider.mechanism is model.mechanism else None
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
-"""Plan the poses at which a law and an equally good one differ most."""
+"""Between which laws the samples leave the choice, as a plan of poses needs it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from parallel_cal.diagnosis.decision import Undecided
 from parallel_cal.diagnosis.search import Chosen, Trial
@@ -12,16 +12,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
 
 
-@dataclass(frozen=True)
-class LawPair:
-    """A proven law and an equally good one, by their names in words, and what a plan needs."""
-
-    law: str
-    rival: str
-    doubt: Undecided
-
-
-def pair_laws(found: Discovery, options: FitOptions) -> list[LawPair]:
+def pair_laws(found: Discovery, options: FitOptions) -> list[Undecided]:
     """Pair each proven law with each law that describes the data equally well.
 
     The model with the proven laws is fitted once, so that a plan lets the geometry adapt to the
@@ -41,5 +32,5 @@ def pair_laws(found: Discovery, options: FitOptions) -> list[LawPair]:
             sets = {law.name: Chosen(name), rival: Chosen(load_text(text))}
             doubt = Undecided.between(best, sets)
             if doubt is not None:
-                pairs.append(LawPair(law.name, rival, doubt))
+                pairs.append(doubt)
     return pairs
