@@ -27,6 +27,7 @@ FORMS = 24_000
 # Shares of the distance of two scanned values: to which the best value between them is sought, and
 # the last digit that it keeps.
 REFINED_TO, KEPT_DIGITS = 1e-3, 1e-4
+SPREAD = 0.05  # of equal parts that are alike, in usual sizes
 DIGITS = 6  # of a scanned number, which a person copies
 
 
@@ -60,13 +61,18 @@ def list_effect_blocks(
         if effect.mistaken > 1 and scene.sizes is not None:
             larger.append(effect.mistaken)
         new = find_new_parameters(scene.model, plain)
-        usual = [size * np.ones(new.sum()) for size in (1.0, *larger) for _ in each]
-        each = [*each, *(size * one for size in larger for one in each)]
-        settings = (1 + len(larger)) * settings
+        own = np.eye(new.sum())
+        roots = [own, *(size * own for size in larger)]
+        if effect.alike:
+            roots.append(_share_among_parts(plain, new))
+            tried *= 2
+        usual = [root for root in roots for _ in each]
+        each = [*each, *(one @ root for root in roots[1:] for one in each)]
+        settings = len(roots) * settings
         if effect.alone and not known.get(name):
-            apart = plain.table.matching(f"{name}.{pattern}" for pattern in effect.alone)[new]
-            each, settings, tried = [*each, each[0][:, apart]], [*settings, {}], tried + 1
-            usual.append(apart.astype(float))
+            apart = own[:, plain.table.matching(f"{name}.{one}" for one in effect.alone)[new]]
+            each, settings, tried = [*each, each[0] @ apart], [*settings, {}], tried + 1
+            usual.append(apart)
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual)
         if block is not None:
@@ -100,11 +106,15 @@ def widen_scene(scene: Scene, wide: Model) -> tuple[Scene, np.ndarray]:
 @dataclass(frozen=True)
 class Scan:
     """The settings of one effect, weighed beside other causes: those that were scanned, as its
-    block has them, and others between them."""
+    block has them, of which `best` is the likeliest, and others between them."""
 
     scene: Scene
     beside: Evidence
-    block: Block
+    best: Choice
+
+    @property
+    def block(self) -> Block:
+        return self.best.block
 
     @cached_property
     def _plain(self) -> tuple[Model, np.ndarray]:
@@ -113,10 +123,12 @@ class Scan:
         return plain, conditions(plain, self.scene.dataset)
 
     def at(self, values: Mapping[str, float]) -> Block:
-        """The effect with one setting."""
+        """The effect with one setting, and the usual sizes of the best."""
         (plain, a), block = self._plain, self.block
-        own = [compute_effect_columns(self.scene, plain, values, a)]
-        more = Block.of(self.scene, block.name, EFFECT, block.log_prior, own, [values], block.tried)
+        root = block.usual[self.best.setting]
+        own = [compute_effect_columns(self.scene, plain, values, a) @ root]
+        prior, tried = block.log_prior, block.tried
+        more = Block.of(self.scene, block.name, EFFECT, prior, own, [values], tried, [root])
         return block if more is None else more
 
     def weigh(self, values: Mapping[str, float]) -> float:
@@ -158,10 +170,10 @@ class Scan:
         near = {key: self.neighbours(setting, key) for key in setting}
         return {key: scanned for key, scanned in near.items() if scanned}
 
-    def refine(self, best: Choice) -> Choice:
-        """The choice with its continuous numbers refined between their scanned neighbours, each in
-        turn, where the posterior is highest."""
-        scanned_setting = self.block.settings[best.setting]
+    def refine(self) -> Choice:
+        """The best choice with its continuous numbers refined between their scanned neighbours,
+        each in turn, where the posterior is highest."""
+        scanned_setting = self.block.settings[self.best.setting]
         effect, setting = load_effect(self.block.name), dict(scanned_setting)
         for key, scanned in self.list_refined(scanned_setting).items():
             starts = (setting, *({**setting, **one} for one in effect.multiples(setting)))
@@ -170,15 +182,15 @@ class Scan:
             # The last of those that fit as well as the best.
             setting = [found for value, found in peaks if value > most - EQUAL_EVIDENCE][-1]
         if setting == scanned_setting:
-            return best
+            return self.best
         more = self.at(setting)
         return Choice(more, 0, int(np.argmax(self.beside.weigh(more.alone)[0])))
 
-    def compute_sigma(self, refined: Mapping[str, float], best: Choice) -> dict[str, float]:
+    def compute_sigma(self, refined: Mapping[str, float]) -> dict[str, float]:
         """The standard deviation of each number that was refined from the best scanned setting: one
         of them away, the logarithm of the posterior is lower by a half."""
         sigma = {}
-        for key, scanned in self.list_refined(self.block.settings[best.setting]).items():
+        for key, scanned in self.list_refined(self.block.settings[self.best.setting]).items():
             step = float(np.diff(scanned).min()) / 20
             near = [self.weigh({**refined, key: refined[key] + away}) for away in (-step, 0, step)]
             bend = float(2 * near[1] - near[0] - near[2]) / step**2
@@ -191,7 +203,7 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     """The choice of an effect with its continuous settings refined; of another cause, itself."""
     if best.block.kind != EFFECT or not best.block.settings[best.setting]:
         return best
-    return Scan(scene, beside, best.block).refine(best)
+    return Scan(scene, beside, best).refine()
 
 
 def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
@@ -228,10 +240,10 @@ def choose_setting(
     [ranked] = nothing.rank(block.alone)
     if ranked.log_p <= nothing.log_p:
         return settings[ranked.best.setting], {}
-    scan = Scan(scene, nothing, block)
-    best = scan.refine(ranked.best)
+    scan = Scan(scene, nothing, ranked.best)
+    best = scan.refine()
     refined = best.block.settings[best.setting]
-    return refined, scan.compute_sigma(refined, ranked.best)
+    return refined, scan.compute_sigma(refined)
 
 
 def list_effects_to_test(
@@ -262,6 +274,18 @@ def find_new_parameters(before: Model, after: Model) -> np.ndarray:
     """Mask of the free parameters that `after` has and `before` has not, or holds fixed."""
     old = {n for n, fixed in zip(before.table.names, before.fixed, strict=True) if not fixed}
     return np.array([n not in old for n in after.table.names]) & ~np.asarray(after.fixed)
+
+
+def _share_among_parts(model: Model, new: np.ndarray) -> np.ndarray:
+    """A root (k, k) of the covariance of the new parameters of a model's last effect, in usual
+    sizes, where equal parts are alike in them."""
+    effect = model.effects[-1]
+    root = np.eye(new.sum())
+    for pattern in effect.alike:
+        same = np.flatnonzero(model.table.matching([f"{effect.name}.{pattern}"])[new])
+        covariance = (1 - SPREAD**2) + SPREAD**2 * np.eye(len(same))
+        root[np.ix_(same, same)] = np.linalg.cholesky(covariance)
+    return root
 
 
 def find_missing_conditions(model: Model, dataset: Dataset) -> tuple[str, ...]:

@@ -59,13 +59,13 @@ class Supposed:
         usual: np.ndarray,
     ) -> Supposed:
         """From rows r (n,) with derivatives J (n, k), in units of the noise; the parameters (k,)
-        are `usual`ly as far from their `nominal` values, and have these where that is zero."""
-        has, factor = usual > 0, np.zeros((len(usual), np.count_nonzero(usual)))
-        estimate, known = np.where(has, 0.0, nominal), usual[has] ** -2
-        information = J[:, has].T @ J[:, has] + np.diag(known)
-        onto = known * nominal[has] - J[:, has].T @ (r + J @ estimate)
-        estimate[has] = np.linalg.solve(information, onto)
-        factor[has] = np.linalg.inv(np.linalg.cholesky(information)).T
+        are distributed about their `nominal` values with the covariance L L' of the root L (k, m)
+        `usual`."""
+        A = J @ usual
+        information = np.eye(A.shape[1]) + A.T @ A
+        away = np.linalg.solve(information, A.T @ (r + J @ nominal))
+        factor = usual @ np.linalg.inv(np.linalg.cholesky(information)).T
+        estimate = nominal - usual @ away
         return cls(names, p, estimate, factor)
 
     def __str__(self) -> str:
@@ -124,10 +124,7 @@ class Undecided:
         for words, one in sets.items():
             if (wider := _extend(model, {one.name: one.settings})) is not None:
                 model, known[words] = wider, one
-        each = [
-            ((words,), 1 / len(known), {one.name: VAGUE_INFORMATION**-0.5})
-            for words, one in known.items()
-        ]
+        each = [((words,), 1 / len(known), {one.name: None}) for words, one in known.items()]
         return cls._supposing(model, best.scene, ~np.asarray(model.fixed), 1.0, each)
 
     @classmethod
@@ -137,10 +134,11 @@ class Undecided:
         scene: Scene,
         free: np.ndarray,
         variance: float,
-        sets: Sequence[tuple[tuple[str, ...], float, Mapping[str, np.ndarray | float]]],
+        sets: Sequence[tuple[tuple[str, ...], float, Mapping[str, np.ndarray | None]]],
     ) -> Undecided | None:
-        """Sets by their names, with their probabilities and the usual sizes of their effects, in
-        tolerances, refitted to the samples of a scene; None if only one is plausible."""
+        """Sets by their names, with their probabilities and a root of the covariance of each of
+        their effects, in tolerances (None: it may be of any size), refitted to the samples of a
+        scene; None if only one is plausible."""
         observations = replace(scene.observations, a=conditions(model, scene.dataset))
         model = replace(model, noise=typical_noise(model, observations))
         table, names = model.table, np.array(model.table.names)[free]
@@ -150,13 +148,19 @@ class Undecided:
         nominal = ((table.nominal - model.values) / table.tolerance)[free]
         groups = np.array([parameter.group for parameter in table])[free]
         geometry = ~np.isin(groups, ("effect", "sensor"))
-        in_doubt, supposed = {name for *_, sizes in sets for name in sizes}, list[Supposed]()
-        for words, p, sizes in sets:
-            usual = np.full(len(names), VAGUE_INFORMATION**-0.5)
-            if scene.sizes is not None:  # the sum has the geometry within its tolerances
-                usual[geometry] = 1.0
+        vague = np.full(len(names), VAGUE_INFORMATION**-0.5)
+        if scene.sizes is not None:  # the sum has the geometry within its tolerances
+            vague[geometry] = 1.0
+        in_doubt, supposed = {name for *_, roots in sets for name in roots}, list[Supposed]()
+        for words, p, roots in sets:
+            usual = np.diag(vague)
             for name in in_doubt:
-                usual[np.char.startswith(names, f"{name}.")] = sizes.get(name, 0.0)
+                own = np.flatnonzero(np.char.startswith(names, f"{name}."))
+                root = roots.get(name, np.zeros((len(own), 0)))
+                if root is not None:
+                    usual[own] = 0.0
+                    usual[np.ix_(own, own[: root.shape[1]])] = root
+            usual = usual[:, usual.any(axis=0)]
             one = Supposed.refit(words, p, J / variance**0.5, r / variance**0.5, nominal, usual)
             values = model.values.copy()
             values[free] += one.estimate * table.tolerance[free]

@@ -21,6 +21,7 @@ class AccelerationLag(Effect):
     """
 
     needs = ("acceleration",)
+    alike = ("*.lag",)
     physics = "Inertia bends the elastic transmission between motor and arm."
     remedy = "lower the acceleration, set its feed-forward in the drives, or measure at rest"
     source = "1 / (2 pi f)^2, f the natural frequency of drive and arm: 10 Hz 0.25e-3, 30 Hz 28e-6"

@@ -17,6 +17,7 @@ class Backlash(Effect):
     """q_ideal = q - width / 2 * direction for every joint; direction of the last motion."""
 
     needs = ("direction",)
+    alike = ("*.width",)
     physics = "Backlash in a gear: the arm stops half the backlash short of the motor's encoder."
     remedy = "preload or replace the gear; until then, approach all poses from one side"
     source = "backlash of gearboxes: 0.03-0.3 mrad for precision gears; 5-20 um for ball screws"

@@ -25,6 +25,7 @@ class Hysteresis(Effect):
 
     needs = ("travel",)
     fixed = ("*.width",)
+    alike = ("*.lag",)
     physics = (
         "Friction winds up an elastic drive, so the drive lags behind after the joint has reversed."
     )

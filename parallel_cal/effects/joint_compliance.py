@@ -25,6 +25,7 @@ class JointCompliance(Effect):
 
     needs = ("payload",)
     fixed = ("mass.*",)
+    alike = ("*.compliance",)
     physics = "Between encoder and arm, a shaft twists in proportion to its torque."
     remedy = (
         "keep the correction in the model and enter the payload; a stiffer shaft or belt "

@@ -25,6 +25,7 @@ class LoadFriction(Effect):
 
     needs = ("direction", "payload")
     fixed = ("mass.*",)
+    alike = ("*.lag",)
     generalizes = ("backlash",)  # which it is if the load hardly changes
     physics = (
         "Teeth, screws and bearings press harder under load, so that their friction holds an "

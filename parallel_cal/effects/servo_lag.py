@@ -20,6 +20,7 @@ class ServoLag(Effect):
     """
 
     needs = ("velocity",)
+    alike = ("*.lag",)
     physics = "A position loop without feed-forward follows a moving command late."
     remedy = "set the velocity feed-forward of the drives, record encoders, or measure at rest"
     source = "position loops of drives: K_v of 20-200 1/s, a lag of 5-50 ms; with feed-forward 1 ms"

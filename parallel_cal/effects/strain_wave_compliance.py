@@ -37,6 +37,7 @@ class StrainWaveCompliance(Effect):
 
     needs = ("payload",)
     fixed = ("mass.*", "torque")
+    alike = ("*.compliance",)
     generalizes = ("joint_compliance",)
     physics = (
         "More teeth of a flexspline engage under load, so that the gear is soft at first and then "

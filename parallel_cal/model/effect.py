@@ -107,6 +107,9 @@ class Effect(ABC):
     alone : tuple of str
         Name patterns of parameters that may be there without the others, whatever its known
         constants are. A diagnosis weighs these alone, too. Default none.
+    alike : tuple of str
+        Name patterns, such as `*.lag`, of properties that equal parts nearly share. A diagnosis
+        weighs parts that are alike, too. Default none.
     added_later : tuple of str
         Name patterns of parameters that model files of earlier releases lack. They have their
         nominal values there, and are fixed if all others of the effect are. Default none.
@@ -155,6 +158,7 @@ class Effect(ABC):
     reads: ClassVar[tuple[str, ...]] = ()
     fixed: ClassVar[tuple[str, ...]] = ()
     alone: ClassVar[tuple[str, ...]] = ()
+    alike: ClassVar[tuple[str, ...]] = ()
     added_later: ClassVar[tuple[str, ...]] = ()
     of_device: ClassVar[bool] = False
     depends_on_class: ClassVar[bool] = True

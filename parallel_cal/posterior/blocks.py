@@ -42,8 +42,8 @@ class Block:
     tried : int
         The number of settings that were scanned, which the evidence for one of them must pay for.
     usual : tuple of array
-        For each setting of an effect, the usual size of each of its parameters, in tolerances; zero
-        for what that setting is without. One for all, if it is empty.
+        For each setting of an effect, a root L (p, k) of the covariance L L' that its p parameters
+        usually have, in tolerances; a row is zero where a setting is without that parameter.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Block:
     turns: np.ndarray = field(repr=False)
     squares: np.ndarray = field(repr=False)
     onto: np.ndarray = field(repr=False)
-    usual: tuple[np.ndarray, ...] = field(default=(), repr=False)
+    usual: tuple[np.ndarray, ...] = field(repr=False)
 
     @classmethod
     def of(
@@ -89,7 +89,8 @@ class Block:
         given = tuple(settings) or ({},) * len(B)
         squares = np.maximum(squares[:, kept], 0.0)
         tried, turns, onto = tried or len(B), turns[:, :, kept], onto[:, kept]
-        return cls(name, kind, log_prior, given, tried, B, turns, squares, onto, tuple(usual))
+        roots = tuple(usual) or tuple(np.eye(one.shape[1]) for one in B)
+        return cls(name, kind, log_prior, given, tried, B, turns, squares, onto, roots)
 
     @cached_property
     def _turned(self) -> dict[int, np.ndarray]:

@@ -41,10 +41,9 @@ class Choice:
         return float(self.block.log_prior + LOG_WEIGHTS[self.size] - np.log(self.block.tried))
 
     @property
-    def usual(self) -> np.ndarray | float:
-        """Standard deviations of the parameters of an effect, in tolerances."""
-        own = self.block.usual
-        return float(SIZES[self.size]) * (own[self.setting] if own else 1.0)
+    def usual(self) -> np.ndarray:
+        """A root (k, m) of the covariance of the parameters of an effect, in tolerances."""
+        return float(SIZES[self.size]) * self.block.usual[self.setting]
 
 
 @dataclass(frozen=True)

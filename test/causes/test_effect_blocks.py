@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import parallel_cal as pc
+from bench.truth import new_effects
 from parallel_cal.causes.effects import list_effect_blocks, scan_settings
 from parallel_cal.diagnosis.addition import see
 from parallel_cal.diagnosis.explanation import Causes
@@ -71,12 +72,27 @@ def test_each_set_of_columns_says_how_large_its_parameters_are():
     """Of a spool a gain is 50 times as large as of a screw; a pitch that changes has no waves."""
     names, usual = ["encoder_gain", "screw_pitch_error"], {}
     for block in list_effect_blocks(scene_with_screws(), names, {}):
-        usual[block.name] = sorted({float(own.max()) for own in block.usual})
-        for setting, columns, own in zip(block.settings, block.columns, block.usual, strict=True):
+        usual[block.name] = sorted({float(root.max()) for root in block.usual})
+        for setting, columns, root in zip(block.settings, block.columns, block.usual, strict=True):
             if setting == {}:
-                expected = (block.columns[0] * own)[:, own > 0]
-                np.testing.assert_allclose(columns, expected, rtol=1e-9)
+                expected = block.columns[0] @ root
+                np.testing.assert_allclose(columns, expected, rtol=1e-9, atol=1e-12)
     assert usual == {"encoder_gain": [1.0, 50.0], "screw_pitch_error": [1.0]}
+
+
+def test_equal_parts_may_be_alike():
+    """Late drives: six lags of their own, or one lag and what each differs from it by a twentieth
+    of the usual size."""
+    robot = new_effects.ROBOTS["moving stewart"]
+    data = robot.measured([], 1)
+    scene = see(pc.fit(robot.model(), data, hold_out=0))
+    [block] = list_effect_blocks(scene, ["servo_lag"], {})
+    apart, alike = (root @ root.T for root in block.usual)
+    np.testing.assert_allclose(apart, np.eye(6))
+    np.testing.assert_allclose(np.diag(alike), np.ones(6))
+    between = np.eye(6)[0] - np.eye(6)[1]
+    assert between @ alike @ between == pytest.approx(2 * 0.05**2)
+    assert block.tried == 2
 
 
 @pytest.mark.parametrize("name", ["hysteresis", "gear_transmission_error"])

