@@ -27,7 +27,7 @@ FORMS = 24_000
 # Shares of the distance of two scanned values: to which the best value between them is sought, and
 # the last digit that it keeps.
 REFINED_TO, KEPT_DIGITS = 1e-3, 1e-4
-SPREAD = 0.05  # of equal parts that are alike, in usual sizes
+SPREAD = 0.01  # of equal parts that are alike, in usual sizes
 DIGITS = 6  # of a scanned number, which a person copies
 
 

@@ -21,7 +21,6 @@ class EncoderGain(Effect):
     """q_ideal = q + gain * q for every joint; a zero reading stays zero."""
 
     family = SMOOTH
-    alike = ("*.gain",)
     mistaken = 100.0
     physics = (
         "If the lead of a spindle or the pitch of a belt is wrong by k, the joint travels "

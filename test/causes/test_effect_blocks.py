@@ -81,7 +81,7 @@ def test_each_set_of_columns_says_how_large_its_parameters_are():
 
 
 def test_equal_parts_may_be_alike():
-    """Late drives: six lags of their own, or one lag and what each differs from it by a twentieth
+    """Late drives: six lags of their own, or one lag and what each differs from it by a hundredth
     of the usual size."""
     robot = new_effects.ROBOTS["moving stewart"]
     data = robot.measured([], 1)
@@ -91,7 +91,7 @@ def test_equal_parts_may_be_alike():
     np.testing.assert_allclose(apart, np.eye(6))
     np.testing.assert_allclose(np.diag(alike), np.ones(6))
     between = np.eye(6)[0] - np.eye(6)[1]
-    assert between @ alike @ between == pytest.approx(2 * 0.05**2)
+    assert between @ alike @ between == pytest.approx(2 * 0.01**2)
     assert block.tried == 2
 
 
