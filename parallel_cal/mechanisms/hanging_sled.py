@@ -221,6 +221,22 @@ class HangingSled(Mechanism):
         """Return the mount of a line (2, 1) m in {B}."""
         return r[:2] + R[:2, :2] @ p[side].vector("B_x", "B_y")
 
+    def strands(self, r: Any, R: Any, p: Named) -> list[Any]:
+        """Return the vectors in {B}, (3, 1) m, from the mount to the anchor of each line."""
+        anchors = [p[side].vector("A_x", "A_y") for side in SIDES]
+        mounts = [self.mount(side, r, R, p) for side in SIDES]
+        return [ca.vertcat(A - B, 0) for A, B in zip(anchors, mounts, strict=True)]
+
+    @staticmethod
+    def place(r: Any) -> Any:
+        """Return the coordinates of a point in {B} that lines move, (2, 1) m."""
+        return r[:2]
+
+    @staticmethod
+    def per_reading(p: Named, i: int) -> float:
+        """Line (m) that a reading of 1 lets out."""
+        return 1.0
+
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
         """Draw the frame between the anchors, the lines, and the sled down to its centre of
         gravity."""

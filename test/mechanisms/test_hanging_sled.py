@@ -128,3 +128,27 @@ def test_gravity_across_the_plane_is_refused():
     sled.gravity = (0.0, 0.0, -9.81)
     with pytest.raises(ModelError, match=r"gravity .* does not act in the plane x, y"):
         Kinematics(new_model(sled)).inverse([[0.1, 0.1, 0.0]])
+
+
+def test_a_level_chain_sags_by_its_weight_squared_over_its_tension_squared():
+    """The right line is level: 4 m of it under 3/4 of the weight, w / weight = 0.01 per metre, sag
+    by w^2 S^3 / (24 t^2), beside what they sag at home."""
+    ring = load_mechanism(
+        "hanging_sled",
+        **{"anchors": [[-3, 4], [4, 1e-9]], "mounts": [[0, 0], [0, 0]], "below": 1e-3},
+        **{"radius": 0, "retracted": 0, "home": [0, -1]},
+    )
+    model = new_model(ring).with_effect("line_sag")
+    names = list(model.table.names)
+    values = model.values.copy()
+    values[names.index("line_sag.sag")] = 0.01**2
+    at = Kinematics(model.with_values(values)).inverse([[0.0, 0.0, 0.0], [0.0, -1.0, 0.0]]).joints
+    plain = Kinematics(model).inverse([[0.0, 0.0, 0.0], [0.0, -1.0, 0.0]]).joints
+    (left, right), home = at[0] - plain[0], at[1] - plain[1]
+    np.testing.assert_allclose(home, 0, atol=1e-12)
+    # At home, the tensions follow from the directions (-3, 5) and (4, 1), as the spans do.
+    pull = np.linalg.solve([[-3 / 34**0.5, 4 / 17**0.5], [5 / 34**0.5, 1 / 17**0.5]], [0, 1])
+    flat = np.array([3, 4])
+    there = 0.01**2 / 24 * flat**2 * np.sqrt([34, 17]) / pull**2
+    here = 0.01**2 / 24 * np.array([9 * 5 / 1.25**2, 4**3 / 0.75**2])
+    np.testing.assert_allclose([left, right], here - there, rtol=2e-3)
