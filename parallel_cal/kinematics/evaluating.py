@@ -108,7 +108,7 @@ def with_status(
     """Convert configurations (N, nq + 12) to solutions of the direct or inverse problem, with the
     closure's residual and a status."""
     n, residual = len(model.joints), residuals(model, x, at)
-    limits = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2)
+    limits = model.mechanism.limits_in(problem)
     inside = ((x[:, :n] >= limits[:, 0]) & (x[:, :n] <= limits[:, 1])).all(axis=1)
     status = np.where(inside, Status.CONVERGED, Status.OUTSIDE_LIMITS).astype(np.int8)
     status[residual >= tolerance] = Status.NOT_CONVERGED

@@ -106,7 +106,8 @@ def height_changes(report: Report) -> str:
         if known is not None and known.fixed:
             continue
         unit, factor = HEIGHT_UNITS.get(change.unit, (f"m per {change.unit}", 1.0))
-        rows.append((name, *(Number(slope, factor) for slope in change.slopes), unit))
+        slopes = np.round(factor * change.slopes, 3) + 0.0
+        rows.append((name, *map(Number, slopes.tolist()), unit))
     note = (
         "How much higher the tip is there, at the same joint readings, if a parameter is larger. A "
         "firmware whose number is too large by that much finds the bed lower by as much."
