@@ -15,7 +15,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.branch import follow_from_home, is_jump, is_short_step
 from parallel_cal.kinematics.one_sample import FastSolver, fast_solver
 from parallel_cal.kinematics.problem import Problem
-from parallel_cal.kinematics.rows import joint_rows, pose_rows
+from parallel_cal.kinematics.rows import joint_rows, limits_in, pose_rows
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
     MAX_SETTLED_STEP_M,
@@ -465,7 +465,7 @@ def _wrap_towards_home(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray
         return q
     turn = model.mechanism.joint_periods
     home = np.array(model.mechanism.home.joints)
-    low, high = model.mechanism.limits_in("inverse").T
+    low, high = limits_in("inverse", model.mechanism).T
     q = q - turn * np.round((q - home) / (2 * np.pi))
     outside = (q < low) | (q > high)
     if not outside.any():

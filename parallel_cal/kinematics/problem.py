@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.base.compiled import Batch, Single
 from parallel_cal.kinematics.newton import change_function, newton_functions
+from parallel_cal.kinematics.rows import limits_in
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
     MAX_SETTLED_STEP_M,
@@ -50,7 +51,7 @@ class Problem:
         self.model, self.name = model, name
         self._n = len(model.joints)
         self.unknown_joints = name == "inverse"
-        self.low, self.high = model.mechanism.limits_in(name).T
+        self.low, self.high = limits_in(name, model.mechanism).T
         (tables,) = self.calls.tables(model.values[: len(robot.table)])
         self.k_and_limits = np.concatenate([tables, self.low, self.high])
         self.columns = self.calls.columns

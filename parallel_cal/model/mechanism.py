@@ -20,7 +20,6 @@ from parallel_cal.model.drive import Drive, Spool
 from parallel_cal.model.parameters import Named, ParameterTable
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
-LIMIT_ROUNDING = 1e-9  # rad or m, that a solution of the equations may be wrong
 SCALES = "scales"  # what measures the joints whose readings are lengths
 
 
@@ -342,13 +341,6 @@ class Mechanism(ByContent, ABC):
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """Return the larger model of which this one is a special case, and its parameter values."""
         raise ModelError(f"{self.name} is not a special case of a larger model")
-
-    def limits_in(self, problem: str) -> np.ndarray:
-        """Limits (nq, 2) of the joints, rad or m; in the `inverse` problem wider by the rounding of
-        a solution, because a machine that was homed stands exactly at its limits."""
-        limits = np.array(self.joint_limits, dtype=float).reshape(-1, 2)
-        rounding = LIMIT_ROUNDING if problem == "inverse" else 0.0
-        return limits + rounding * np.array([-1.0, 1.0])
 
     @property
     def joint_ranges(self) -> np.ndarray:
