@@ -17,8 +17,8 @@ def import_(
     kind: Annotated[
         str,
         typer.Argument(
-            help="rrf, klipper, marlin, linuxcnc, fluidnc, touches, table or images; or the Python "
-            "path of your own importer"
+            help="rrf, klipper, marlin, linuxcnc, fluidnc, maslow, touches, table or images; or "
+            "the Python path of your own importer"
         ),
     ],
     files: Annotated[

@@ -8,19 +8,28 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.mechanisms.cable import Cable
+from parallel_cal.mechanisms.hanging_sled import HangingSled
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named
 
+LINES = (Cable, HangingSled)
+
 
 def needs_lines(mechanism: Mechanism) -> str:
     """Return why an effect of lines does not apply; empty if it does."""
-    if not isinstance(mechanism, Cable):
+    if not isinstance(mechanism, LINES):
         return "no line holds the platform"
-    if any(mechanism.moving_pulleys):
+    if isinstance(mechanism, Cable) and any(mechanism.moving_pulleys):
         return "its lines run over pulleys on the platform"
     return ""
+
+
+def needs_point(mechanism: Mechanism) -> str:
+    """Return why lines do not end at one point; empty if they do, or if there are none."""
+    return "its lines hold a sled that tilts" if isinstance(mechanism, HangingSled) else ""
 
 
 def has_redundant_lines(mechanism: Mechanism) -> bool:
@@ -30,7 +39,7 @@ def has_redundant_lines(mechanism: Mechanism) -> bool:
 
 def hangs(mechanism: Mechanism) -> bool:
     """Whether the lines carry weight: gravity acts along a coordinate that moves."""
-    return bool(np.array(mechanism.gravity)[mechanism.moved].any())
+    return any(mechanism.gravity[axis] for axis in mechanism.moved if axis < 3)
 
 
 def _explain_gravity(mechanism: Mechanism) -> str:
@@ -55,7 +64,7 @@ def needs_tension(mechanism: Mechanism) -> str:
 
 def needs_hanging_lines(mechanism: Mechanism) -> str:
     """Return why the weight of the platform does not stretch lines; empty if it does."""
-    if why := needs_lines(mechanism):
+    if why := needs_lines(mechanism) or needs_point(mechanism):
         return why
     if hangs(mechanism):
         return ""
@@ -83,10 +92,9 @@ def line_stretches(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any
     return ca.vertcat(*[-ca.dot(to, sag) / ca.norm_2(to) for to in strands])
 
 
-def find_strands(seen: Seen, mechanism: Cable) -> list[Any]:
-    """Return the vectors in {B}, (3, 1) m, from the end point to the anchor of each line."""
-    P = mechanism.place(seen.r)
-    return [mechanism.in_base(A - P) for A in mechanism.anchors(seen.p)]
+def find_strands(seen: Seen, mechanism: Cable | HangingSled) -> list[Any]:
+    """Return the vectors in {B}, (3, 1) m, from the end of each line to its anchor."""
+    return mechanism.strands(seen.r, seen.R, seen.p)
 
 
 def find_up(mechanism: Mechanism) -> Any:
@@ -95,7 +103,9 @@ def find_up(mechanism: Mechanism) -> Any:
     return ca.DM(-down / np.linalg.norm(down))
 
 
-def find_tensions(seen: Seen, mechanism: Cable, pretension: Any, weight: Any) -> list[Any]:
+def find_tensions(
+    seen: Seen, mechanism: Cable | HangingSled, pretension: Any, weight: Any
+) -> list[Any]:
     """Return the tension of each line: W t = weight up, nearest to `pretension` in every line.
 
     t = pretension (1 - W^+ W 1) + W^+ weight up, with the unit vectors from {P} to the anchors as
@@ -111,7 +121,10 @@ def find_tensions(seen: Seen, mechanism: Cable, pretension: Any, weight: Any) ->
 
 
 def shift_lines(
-    seen: Seen, mechanism: Cable, excess: Callable[[Seen], list[Any]], since_home: bool = True
+    seen: Seen,
+    mechanism: Cable | HangingSled,
+    excess: Callable[[Seen], list[Any]],
+    since_home: bool = True,
 ) -> Seen:
     """Return the readings that let out straight, rigid lines to the same end point.
 
@@ -120,7 +133,8 @@ def shift_lines(
     """
     more = excess(seen)
     if since_home:
-        home = ca.DM(mechanism.home.position)
-        more = [m - m0 for m, m0 in zip(more, excess(seen.with_pose(home, seen.R)), strict=True)]
+        home = mechanism.home
+        there = ca.DM(home.position), ca.DM(quaternion_to_matrix(home.quaternion))
+        more = [m - m0 for m, m0 in zip(more, excess(seen.with_pose(*there)), strict=True)]
     shifts = [m / mechanism.per_reading(seen.p, i) for i, m in enumerate(more)]
     return seen.with_q(seen.q - ca.vertcat(*shifts))

@@ -8,8 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._lines import find_strands, needs_lines, shift_lines
-from parallel_cal.mechanisms.cable import Cable
+from parallel_cal.effects._lines import LINES, find_strands, needs_lines, shift_lines
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -52,7 +51,7 @@ class LineCreep(Effect):
         return needs_lines(mechanism)
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        assert isinstance(mechanism, Cable)
+        assert isinstance(mechanism, LINES)
         t = at["time"] / ca.fmax(e.tau, MIN_TIME_CONSTANT)  # a search may try less
         crept = e.fast * (1 - ca.exp(-e.ratio * t)) + e.slow * (1 - ca.exp(-t))
 

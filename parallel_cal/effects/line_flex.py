@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.effects._lines import (
+    LINES,
     find_strands,
     find_tensions,
     hangs,
@@ -14,7 +15,6 @@ from parallel_cal.effects._lines import (
     needs_tension,
     shift_lines,
 )
-from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -46,7 +46,7 @@ class LineFlex(Effect):
         return needs_tension(mechanism)
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        assert isinstance(mechanism, Cable)
+        assert isinstance(mechanism, LINES)
 
         def excess(placed: Seen) -> list[Any]:
             strains = find_tensions(placed, mechanism, e.get("strain", 0), e.get("load", 0))

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.effects._lines import (
+    LINES,
     find_strands,
     find_tensions,
     find_up,
@@ -14,7 +15,6 @@ from parallel_cal.effects._lines import (
     needs_tension,
     shift_lines,
 )
-from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -67,7 +67,7 @@ class LineSag(Effect):
         return needs_tension(mechanism)
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        assert isinstance(mechanism, Cable)
+        assert isinstance(mechanism, LINES)
         up = find_up(mechanism)
 
         def excess(placed: Seen) -> list[Any]:

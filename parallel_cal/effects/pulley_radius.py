@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._lines import find_strands, needs_lines, shift_lines
+from parallel_cal.effects._lines import find_strands, needs_lines, needs_point, shift_lines
 from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
@@ -45,7 +45,7 @@ class PulleyRadius(Effect):
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return needs_lines(mechanism)
+        return needs_lines(mechanism) or needs_point(mechanism)
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         assert isinstance(mechanism, Cable)

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.base.units import MM
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.projection import (
     Array,
     Bed,
@@ -27,6 +27,7 @@ LINEAR, ROTARY = ("linear_delta",), ("delta24", "delta54", "delta_nominal")
 MAX_TOWER_TRIM = np.radians(15)  # a tower further from its place turns the whole frame
 GAIN = "encoder_gain"  # the effect that a firmware's scale expresses
 MAX_SCALE_CHANGE = 0.1  # relative; a larger one is another microstepping, gear or unit
+MIN_SHOWN_SHIFT = 0.005  # mm or degrees, of an end-stop; less is 0.00
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
@@ -232,6 +233,22 @@ def shoulders(
 
     start = np.array([c.radius.mean(), *c.rods, *c.angles, *c.homed, *heights, *arms])
     return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed, present)), c
+
+
+def describe_unequal_stops(model: Model, places: Array) -> tuple[str, ...]:
+    """Say by how much end-stops must be moved for a firmware that has one position for all."""
+    c = chains_of(model, places)
+    unit, factor = ("mm", MM) if model.mechanism.name in LINEAR else ("degrees", DEGREE)
+    higher = (c.homed.mean() - c.homed) / factor
+    if np.abs(higher).max() < MIN_SHOWN_SHIFT:
+        return ()
+    moves = ", ".join(
+        f"{model.joints[k]} {by:+.2f}" for k, by in zip(c.frame.order, higher, strict=True)
+    )
+    return (
+        f"the firmware has one position for all end-stops: move them by {moves} {unit} (up is +), "
+        "measure and fit again. What they differ by now is part of the error",
+    )
 
 
 def fit_equal_towers(

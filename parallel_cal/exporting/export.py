@@ -138,6 +138,8 @@ def export(
             file: projection.head + format_settings(numbers)
             for file, numbers in projection.settings.items()
         }
+        if hasattr(module, "beside"):
+            made |= module.beside(robot, found)
         heights = None
         if touches is not None:
             _check_touches_apply(robot, touches)

@@ -263,7 +263,7 @@ class DevicePoses(PosePairs):
 
     `tilts` is whether the platform turned further than its tolerances explain, or so far that no
     robot's errors explain it: otherwise no pose determines where the target sits. The target is
-    not free if an effect of the model states it. `poses` counts different poses.
+    not free if the model states it. `poses` counts different poses.
     """
 
     tilts: bool = field(kw_only=True)
@@ -320,7 +320,7 @@ class DevicePoses(PosePairs):
             seen.R,
             measured,
             m.length,
-            tilts and all(effect.name != TARGET_EFFECT for effect in model.effects),
+            tilts and not _states_target(model),
             m.moves,
             frames_of(model),
             tilts=tilts,
@@ -453,6 +453,15 @@ def _turn_target(model: Model, observations: Observations) -> Frames:
     T = there.find_target_turn(frames.F, there.turned)
     near = there.find_near(replace(frames, T=T))  # without those that are far off
     return replace(frames, T=there.find_target_turn(frames.F, near[there.turned[near]]))
+
+
+def _states_target(model: Model) -> bool:
+    """Whether the model states where the target sits: by an effect, or because the sensor fixes it
+    (marks that the tool itself leaves)."""
+    device, names = _device(model), [name for name in model.table.names if name in TARGET_PLACE]
+    fixed = device is not None and model.table.matching(device.fixed_patterns())
+    at_sensor = bool(names) and bool(np.all(fixed, where=model.table.matching(names)))
+    return at_sensor or any(effect.name == TARGET_EFFECT for effect in model.effects)
 
 
 def shows_pose(model: Model) -> bool:

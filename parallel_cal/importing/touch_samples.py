@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.units import LENGTHS, MM
-from parallel_cal.importing.deltas import JOINT_NAMES, Delta, end_stops
+from parallel_cal.importing.deltas import JOINT_NAMES, Delta, compute_positions, end_stops
 from parallel_cal.importing.settings import SourceLine, sha256
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.configuration import explain_other_configuration
@@ -153,6 +153,25 @@ def join_ends(parts: Sequence[PrintedEnds]) -> PrintedEnds:
             readings[name][before : before + len(read)] = read
         before += len(part.q)
     return PrintedEnds(np.vstack([part.q for part in parts]), readings)
+
+
+def find_visits(delta: Delta, q: Array, step: ArrayLike) -> Array:
+    """Return the number (N, 1) of the first touch at the same x and y, for joints (N, nq) that a
+    controller stored in whole steps (m or rad).
+
+    Touches at one place differ in x and y by what a step of each motor moves the nozzle there.
+    """
+    start = np.zeros((len(q), 3))
+    at = compute_positions(delta, q, start)[:, :2]
+    aside = np.broadcast_to(step, q.shape[1:]) * np.eye(q.shape[1])
+    moved = [compute_positions(delta, q + one, start)[:, :2] for one in aside]
+    reach = SAME_PLACE + sum(np.linalg.norm(each - at, axis=1) for each in moved)
+    first = np.arange(len(q))
+    for k in range(len(q)):
+        away = np.linalg.norm(at[:k] - at[k], axis=1)
+        same = np.flatnonzero(away <= reach[k])  # NaN is at no place
+        first[k] = first[same[0]] if len(same) else k
+    return np.asarray(first[:, None], float)
 
 
 def make_touch_samples(

@@ -15,7 +15,7 @@ from parallel_cal.base.compiled import Batch, Single, dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.kinematics.rows import joint_rows
+from parallel_cal.kinematics.rows import joint_rows, limits_in
 from parallel_cal.kinematics.singularity import jacobians, smallest_singular_values
 from parallel_cal.kinematics.solutions import (
     MIN_REGULAR_SINGULAR_VALUE,
@@ -108,7 +108,7 @@ def with_status(
     """Convert configurations (N, nq + 12) to solutions of the direct or inverse problem, with the
     closure's residual and a status."""
     n, residual = len(model.joints), residuals(model, x, at)
-    limits = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2)
+    limits = limits_in(problem, model.mechanism)
     inside = ((x[:, :n] >= limits[:, 0]) & (x[:, :n] <= limits[:, 1])).all(axis=1)
     status = np.where(inside, Status.CONVERGED, Status.OUTSIDE_LIMITS).astype(np.int8)
     status[residual >= tolerance] = Status.NOT_CONVERGED

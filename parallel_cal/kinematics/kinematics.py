@@ -15,7 +15,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.branch import follow_from_home, is_jump, is_short_step
 from parallel_cal.kinematics.one_sample import FastSolver, fast_solver
 from parallel_cal.kinematics.problem import Problem
-from parallel_cal.kinematics.rows import joint_rows, pose_rows
+from parallel_cal.kinematics.rows import joint_rows, limits_in, pose_rows
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
     MAX_SETTLED_STEP_M,
@@ -70,7 +70,6 @@ class Kinematics:
         self.model = model
         self._compile, self._quick = compile, quick
         self._n = len(model.joints)
-        self._limits = model.mechanism.joint_limits
 
     def __repr__(self) -> str:
         return f"Kinematics({self.model!r})"
@@ -340,8 +339,7 @@ class Kinematics:
                 )
             elif not any_branch and is_jump(problem, begin[i], x[i], rows[i]):
                 status[i] = Status.OTHER_BRANCH
-        low, high = np.array(self._limits, dtype=float).T
-        inside = ((x[:, :n] >= low) & (x[:, :n] <= high)).all(axis=1)
+        inside = ((x[:, :n] >= problem.low) & (x[:, :n] <= problem.high)).all(axis=1)
         status[~inside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
         return Solutions.of(x, residual, status, len(self.model.mechanism.passive))
 
@@ -467,7 +465,7 @@ def _wrap_towards_home(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray
         return q
     turn = model.mechanism.joint_periods
     home = np.array(model.mechanism.home.joints)
-    low, high = np.array(model.mechanism.joint_limits).T
+    low, high = limits_in("inverse", model.mechanism).T
     q = q - turn * np.round((q - home) / (2 * np.pi))
     outside = (q < low) | (q > high)
     if not outside.any():

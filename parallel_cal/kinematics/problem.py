@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.base.compiled import Batch, Single
 from parallel_cal.kinematics.newton import change_function, newton_functions
+from parallel_cal.kinematics.rows import limits_in
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
     MAX_SETTLED_STEP_M,
@@ -50,9 +51,9 @@ class Problem:
         self.model, self.name = model, name
         self._n = len(model.joints)
         self.unknown_joints = name == "inverse"
-        low, high = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2).T
+        self.low, self.high = limits_in(name, model.mechanism).T
         (tables,) = self.calls.tables(model.values[: len(robot.table)])
-        self.k_and_limits = np.concatenate([tables, low, high])
+        self.k_and_limits = np.concatenate([tables, self.low, self.high])
         self.columns = self.calls.columns
         # More rows than unknowns (lines of a cable robot): the solution is that of least squares.
         # Its residual is not zero, so the residual does not decide on the status.

@@ -6,7 +6,10 @@ import numpy as np
 
 from parallel_cal.base.arguments import require
 from parallel_cal.base.errors import SolveError
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
+
+LIMIT_ROUNDING = 1e-9  # rad or m, that a solution of the equations may be wrong
 
 
 def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
@@ -43,3 +46,11 @@ def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -
             )
         rows[:, n + 3 : n + 12] = R.reshape(-1, 9)
     return rows
+
+
+def limits_in(problem: str, mechanism: Mechanism) -> np.ndarray:
+    """Return the limits (nq, 2) of the joints, rad or m; in the `inverse` problem wider by the
+    rounding of a solution, because a machine that was homed stands exactly at its limits."""
+    limits = np.array(mechanism.joint_limits, dtype=float).reshape(-1, 2)
+    rounding = LIMIT_ROUNDING if problem == "inverse" else 0.0
+    return limits + rounding * np.array([-1.0, 1.0])

@@ -188,6 +188,10 @@ class Cable(Mechanism):
         """Return the coordinates of a point in {B} that move, (3, 1) or (2, 1) m."""
         return ca.vertcat(*[r[i] for i in self.moved])
 
+    def strands(self, r: Any, R: Any, p: Named) -> list[Any]:
+        """Return the vectors in {B}, (3, 1) m, from the end point to the anchor of each line."""
+        return [self.in_base(A - self.place(r)) for A in self.anchors(p)]
+
     def in_base(self, place: Any) -> Any:
         """Return a point (3, 1) m in {B}, given the coordinates that move."""
         rows = [place[self.moved.index(i)] if i in self.moved else 0 for i in range(3)]

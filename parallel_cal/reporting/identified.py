@@ -7,7 +7,7 @@ from datetime import datetime
 
 import numpy as np
 
-from parallel_cal.base.units import ERROR_SI_UNITS
+from parallel_cal.base.units import DEGREE, ERROR_SI_UNITS, MM
 from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.observations import list_noise
 from parallel_cal.recordings.dataset import Dataset
@@ -46,6 +46,7 @@ from parallel_cal.reporting.tables import (
 )
 from parallel_cal.reporting.versus import Versus
 
+HEIGHT_UNITS = {"m": ("mm per mm", 1.0), "rad": ("mm per degree", DEGREE / MM)}
 MAX_NAMED_SAMPLES = 20  # excluded for one reason
 IDENTIFIED_HERE = (
     "The model was identified from these samples. Its errors are rms at held-out poses: at each "
@@ -90,6 +91,28 @@ def parameters(report: Report, plot: Plot) -> str:
         about = "Point at a line to see its parameters and their values."
         pages["on the mechanism"] = figure(paragraph(about, "note on-screen") + plot(drawn))
     return paragraph(note, "note") + tabs(pages)
+
+
+def height_changes(report: Report) -> str:
+    """Render how the heights at some touches change with each parameter that a fit moves, and with
+    what all chains have in common; empty without touches."""
+    found = report.height_changes
+    if found is None:
+        return ""
+    places = [f"x {x / MM:.0f}, y {y / MM:.0f} mm" for x, y in found.places]
+    rows: list[Row] = []
+    for name, change in found.parameters.items():
+        known = report.parameters.get(name)
+        if known is not None and known.fixed:
+            continue
+        unit, factor = HEIGHT_UNITS.get(change.unit, (f"m per {change.unit}", 1.0))
+        slopes = np.round(factor * change.slopes, 3) + 0.0
+        rows.append((name, *map(Number, slopes.tolist()), unit))
+    note = (
+        "How much higher the tip is there, at the same joint readings, if a parameter is larger. A "
+        "firmware whose number is too large by that much finds the bed lower by as much."
+    )
+    return paragraph(note, "note") + table(("parameter", *places, "unit"), rows)
 
 
 def combinations(report: Report) -> str:

@@ -32,6 +32,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import contents
 from parallel_cal.reporting.certificate import CertificateFields, Conformity, decide
+from parallel_cal.reporting.height_changes import HeightChanges
 from parallel_cal.reporting.versus import Versus
 
 if TYPE_CHECKING:
@@ -100,6 +101,8 @@ class Report:
         What contributes to the error; pose accuracy and repeatability (after ISO 9283).
     parameters : dict of DescribedParameter
         The parameters with the effects found, by name.
+    height_changes : HeightChanges or None
+        How the heights of a touched bed change if one parameter is wrong; None without touches.
     combinations, correlated : dict, list of Correlation
         What the data do not determine, and what they cannot tell apart.
     map : dict
@@ -125,6 +128,7 @@ class Report:
     budget: tuple[Budget, ...]
     iso_9283: tuple[Iso9283, ...]
     parameters: Mapping[str, contents.DescribedParameter]
+    height_changes: HeightChanges | None
     combinations: Mapping[str, Any]
     correlated: list[contents.Correlation]
     map: Mapping[str, Any]
@@ -227,6 +231,7 @@ def report_of(
         budget=best.budgets,
         iso_9283=best.iso_9283,
         parameters=contents.parameters(best),
+        height_changes=HeightChanges.of(best),
         combinations=contents.combinations(best),
         correlated=contents.find_correlations(best),
         map=contents.smooth_map(found.structure.map),

@@ -14,6 +14,7 @@ def body(report: Report, plot: Plot) -> str:
     count = f"{len(report.samples)}, the largest residual first"
     blank = report.certificate == CertificateFields()  # nobody asked for a certificate
     images = failures.over_images(report, plot)  # empty without a camera
+    heights = identified.height_changes(report)  # empty without touches
     parts = [
         overview.verdict(report),
         overview.numbers(report),
@@ -26,6 +27,7 @@ def body(report: Report, plot: Plot) -> str:
         section("Which effect is missing", evidence.candidates(report, plot)),
         section("What to measure next", evidence.measure_next(report)),
         section("Parameters", identified.parameters(report, plot), f"{free} free", closed=True),
+        *([section("Heights if one parameter is wrong", heights, closed=True)] if heights else []),
         section("What the data do not determine", identified.combinations(report), closed=True),
         section("Unexplained structure", failures.structure(report, plot), closed=True),
         section("Provenance", identified.provenance(report), closed=True),

@@ -783,8 +783,8 @@ def test_the_command_writes_the_robot_alone_with_a_makefile_that_checks_it(tmp_p
         (
             "d",
             "no target 'd': expected one of c, cpp, fluidnc, grblhal, klipper, linuxcnc, marlin, "
-            "marlin_equal_rods, mjcf, mk4duo, moveit, repetier, richcattell, ros2_control, rrf, "
-            "sdf, smoothieware, table, ucnc, urdf",
+            "marlin_equal_rods, maslow, mjcf, mk4duo, moveit, repetier, richcattell, ros2_control, "
+            "rrf, sdf, smoothieware, table, ucnc, urdf",
         ),
         ("c:size=3", "option 'size=3': expected one of name="),
         ("c:poses=many", "option 'poses=many': expected one of name="),

@@ -47,7 +47,8 @@ def off(name, tolerances=0.3, seed=1):
 
 def simulated(target, folder):
     """The firmware that reads what was written."""
-    text = {path.name: path.read_text() for path in folder.rglob("*") if path.is_file()}
+    files = [path for path in folder.rglob("*") if path.suffix != ".csv" and path.is_file()]
+    text = {path.name: path.read_text() for path in files}
     if target == "linuxcnc":
         return vf.LinuxCnc(text["machine.hal"], text["machine.ini"])
     kinds = {"klipper": vf.Klipper, "rrf": vf.Duet, "grblhal": vf.GrblHal}

@@ -397,3 +397,73 @@ class Pentapod(Assembly):
         """The rings' angles: towards the feet, as seen from the spindle."""
         seen = apply(np.swapaxes(R, -1, -2)[..., None, :, :], self.feet - r[..., None, :])
         return np.arctan2(seen[..., 1], seen[..., 0])
+
+
+class HangingSled(Assembly):
+    """A sled on two taut strings over wheels, at rest where its centre of gravity is lowest.
+
+    No force is computed: along the motion that leaves both strings as long as they are, the height
+    of the centre of gravity is stationary. A string over a wheel is its tangent and an arc.
+    """
+
+    moves = "x y rz"
+    controls = "x y"
+    home = (0.0, 0.0, 0.0)
+    home_joints = (0.0, 0.0)
+
+    def __init__(self, parameters, wheels="frame", over=True, home=(0.0, 0.0)):
+        super().__init__(parameters)
+        self.wheels, self.over, self.home = wheels, over, (*home, 0.0)
+        p = parameters
+        self.anchors, self.mounts = (
+            [complex(p[f"{side}.{name}_x"], p[f"{side}.{name}_y"]) for side in ("left", "right")]
+            for name in "AB"
+        )
+        self.weight = complex(p["sled.G_x"], p["sled.G_y"])
+
+    def lengths(self, place, angle):
+        """Both strings (..., 2) for the tool at a complex place and the sled turned by an angle."""
+        found = []
+        for k, (anchor, mount) in enumerate(zip(self.anchors, self.mounts, strict=True)):
+            end = place + mount * np.exp(1j * angle)
+            on_frame = self.wheels == "frame"
+            centre, point = (anchor, end) if on_frame else (end, anchor)
+            away, radius = point - centre, self.parameters["wheels.radius"]
+            # The tangents touch the wheel on the circle over the centre and the point as diameter.
+            spread = np.arccos(radius / np.abs(away))
+            clockwise = (-1 if k else 1) * (1 if on_frame else -1)
+            touch = np.angle(away) + (1 if self.over else -1) * clockwise * spread
+            span = np.abs(point - centre - radius * np.exp(1j * touch))
+            # Round the wheel from 12 o'clock, or to 6 o'clock of the sled.
+            if on_frame:
+                turned = np.pi / 2 - touch if k == 0 else touch - np.pi / 2
+                turned = turned if self.over else -turned
+            else:
+                seen = touch - angle
+                turned = seen + np.pi / 2 if k == 0 else 3 * np.pi / 2 - seen
+                turned = turned if self.over else -turned
+            turned = np.mod(turned + 0.5, 2 * np.pi) - 0.5
+            across = self.parameters["sled.standoff"]
+            found.append(np.hypot(span, across) + radius * turned)
+        return np.stack(found, axis=-1)
+
+    def gaps(self, q, r, R, hidden):
+        place, angle = r[..., 0] + 1j * r[..., 1], np.arctan2(R[..., 1, 0], R[..., 0, 0])
+        zero = np.array([self.parameters[f"{side}.L0"] for side in ("left", "right")])
+        step, slopes = 0.006, []
+        for along in np.eye(3):
+
+            def change(size, along=along):
+                move = size * step * along
+                at = place + move[0] + 1j * move[1], angle + move[2]
+                height = (at[0] + self.weight * np.exp(1j * at[1])).imag
+                return np.concatenate([self.lengths(*at), height[..., None]], axis=-1)
+
+            weights = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # to the eighth order
+            steps = enumerate(weights, start=1)
+            slopes.append(sum(w * (change(k) - change(-k)) for k, w in steps) / step)
+        slopes = np.stack(slopes, axis=-1)
+        free = np.cross(slopes[..., 0, :], slopes[..., 1, :])
+        free /= free[..., 2:]  # m per rad of tilt
+        lower = np.sum(slopes[..., 2, :] * free, axis=-1, keepdims=True)
+        return np.concatenate([self.lengths(place, angle) - q - zero, lower], axis=-1)

@@ -1,5 +1,7 @@
 """Settings of grblHAL become a model, which is written back into them; or one clear line."""
 
+import re
+
 import numpy as np
 import pytest
 import virtual_firmware as vf
@@ -53,6 +55,24 @@ def test_an_arm_at_its_switch_is_where_a_right_triangle_puts_it(tmp_path):
     ends = np.array(model.mechanism.joint_limits)[:, 1]
     np.testing.assert_allclose(
         Kinematics(model).direct(ends).position / MM, [0, 0, -277.2], atol=5e-3
+    )
+
+
+def test_end_stops_that_differ_are_named_with_the_way_to_the_mean(tmp_path):
+    """Arms at their switches are 0.3 degrees higher, 0.1 lower and 0.1 higher than stated."""
+    path = written(tmp_path, DELIVERED)
+    model = configured([path]).model
+    values, off = model.values.copy(), np.radians([0.3, -0.1, 0.1])
+    for i, by in enumerate(off, start=1):
+        arm = model.value(f"chain{i}.La_x")
+        values[model.table.index_of(f"chain{i}.La_x")] = arm * np.cos(by)
+        values[model.table.index_of(f"chain{i}.La_y")] = arm * np.sin(by)
+    done = export_into(model.with_values(values), "grblhal", [path])
+    assert done.loss["position_max"] > 0.2 * MM
+    words = next(remark for remark in done.remarks if "one position for all end-stops" in remark)
+    found = dict(re.findall(r"(joint\d) ([+-]\S+?)(?:,| degrees)", words))
+    assert {name: float(by) for name, by in found.items()} == pytest.approx(
+        {"joint1": -0.2, "joint2": 0.2, "joint3": 0.0}, abs=0.011
     )
 
 

@@ -116,6 +116,23 @@ def test_steps_count_from_the_end_stops(file):
     assert model.value("chain2.D_y") == pytest.approx(0.15 * np.sin(DEGREE))
 
 
+def test_touches_at_one_place_are_its_visits_however_far_their_heights_are_apart(file):
+    """Two places, a millimetre apart, each probed five times: heights scatter by 1 mm, and steps
+    are whole. By its joints, a touch may be nearer to one of the other place."""
+    plain = re.sub(r"#\*# (manual_)?(height|distance).*\n", "", LINEAR)
+    machine = configured(file(plain)).formula
+    rng, lines = np.random.default_rng(4), []
+    xy = np.repeat([[30, 40], [31, 40]], 5, axis=0) * MM
+    for k, place in enumerate(xy):
+        q = machine.joints(np.array([[*place, rng.normal(0, 1) * MM]]))[0]
+        steps = np.round((machine.homed - q) / np.array([12.5, 12.5, 6.25]) / 1e-6)
+        words = ",".join(f"{count:.3f}" for count in steps)
+        lines += [f"#*# height{k} = 0.0", f"#*# height{k}_pos = {words}"]
+    data = samples("klipper", file(plain + "\n".join(lines) + "\n"))
+    np.testing.assert_array_equal(data.pose_id, np.repeat(data.pose_id[[0, 5]], 5))
+    assert data.pose_id[0] != data.pose_id[5]
+
+
 @pytest.mark.parametrize("old", ["rotation_distance: 40", "rotation_distance: 40\nmicrosteps: 16"])
 def test_a_step_distance_of_an_old_configuration_is_read(file, old):
     """40 mm a turn of 3200 microsteps are 12.5 um a microstep."""

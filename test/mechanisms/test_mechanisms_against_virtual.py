@@ -61,6 +61,13 @@ MORGAN = (
         ("below", True),
     ),
 )
+# A plotter that carries its motors, lines below its wheels, and a ring on which it does not tilt.
+CARRIAGE = (
+    ("anchors", [[-0.65, 0.1], [0.65, 0.0]]),
+    ("mounts", [[-0.04, 0.03], [0.05, 0.02]]),
+    *(("below", 0.03), ("radius", 0.0063), ("wheels", "sled"), ("standoff", 0.041)),
+    ("home", [0.05, -0.4]),
+)
 CASES = [
     Case("argos27", va.Argos),
     Case("argos9", lambda p: va.Argos(va.spherical(p))),
@@ -96,6 +103,9 @@ CASES = [
     Case("plate_rrs", vf.PlateRrs),
     Case("tripod_struts", vf.TripodStruts),
     Case("pentapod", vf.Pentapod),
+    Case("hanging_sled", vf.HangingSled),
+    Case("hanging_sled", lambda p: vf.HangingSled(p, over=False), (("over", False),)),
+    Case("hanging_sled", lambda p: vf.HangingSled(p, "sled", home=(0.05, -0.4)), CARRIAGE),
     Case("palletizer", vf.Palletizer),
     Case("palletizer", lambda p: vf.Palletizer(p, False), (("flange", False),)),
 ]

@@ -34,6 +34,7 @@ TWINS = {
     "palletizer": vf.Palletizer,
     "tripod_struts": vf.TripodStruts,
     "pentapod": vf.Pentapod,
+    "hanging_sled": vf.HangingSled,
 }
 
 

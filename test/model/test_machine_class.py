@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import test_export_heights
 import test_import_fluidnc
+import test_import_maslow
 import test_import_repetier
 import test_import_smoothieware
 import test_import_tower_words
@@ -178,6 +179,7 @@ def test_a_printers_configuration_makes_a_hobby_machine_unless_a_class_is_stated
         "repetier",
         "ucnc",
         "fluidnc",
+        "maslow",
     ],
 )
 def test_the_firmware_of_printers_has_the_class_of_printers(kind, tmp_path):
@@ -192,6 +194,7 @@ def test_the_firmware_of_printers_has_the_class_of_printers(kind, tmp_path):
         "repetier": ("printer.log", test_import_repetier.REPORT),
         "ucnc": ("settings.txt", test_import_ucnc.SETTINGS),
         "smoothieware": ("config", test_import_smoothieware.LINEAR),
+        "maslow": ("groundcontrol.ini", test_import_maslow.INI),
         "linuxcnc": ("machine.hal", "setp lineardeltakins.R 100\nsetp lineardeltakins.L 250\n"),
     }
     name, text = texts[kind]

@@ -17,7 +17,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.exporting.deltas import ROTARY, fit_equal_shoulders
+from parallel_cal.exporting.deltas import ROTARY, describe_unequal_stops, fit_equal_shoulders
 from parallel_cal.exporting.editing import format_number
 from parallel_cal.exporting.projection import (
     Array,
@@ -109,7 +109,8 @@ def _delta(model: Model, present: Refinement | None, stated: Settings | None) ->
                 f"fluidnc: {field} would be {text}, expected {low:g} to {high:g}: the firmware "
                 "takes the nearer end of this range. It cannot move this robot; grblhal can"
             )
-    return Projection({FILE: written}, frame, found.stops)
+    remarks = describe_unequal_stops(model, HANGING_ANGLES)
+    return Projection({FILE: written}, frame, found.stops, remarks)
 
 
 def _anchors(model: Model) -> Array:

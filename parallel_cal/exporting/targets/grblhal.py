@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.exporting.deltas import ROTARY, fit_equal_shoulders
+from parallel_cal.exporting.deltas import ROTARY, describe_unequal_stops, fit_equal_shoulders
 from parallel_cal.exporting.projection import Firmware, Projection, Refinement
 from parallel_cal.importing.deltas import HANGING_ANGLES, SIDE
 from parallel_cal.importing.importers import grblhal
@@ -34,4 +34,5 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
     numbers = (delta.rods[0] / MM, delta.arms[0] / MM, delta.radius / MM / SIDE, 0.0)
     written = {f"${641 + k}": f"{number:.3f}" for k, number in enumerate(numbers)}
     written["$646"] = f"{-delta.homed[0] / DEGREE:.3f}"
-    return Projection({FILE: written}, found.frame, found.stops)
+    remarks = describe_unequal_stops(model, HANGING_ANGLES)
+    return Projection({FILE: written}, found.frame, found.stops, remarks)

@@ -24,6 +24,7 @@ from parallel_cal.exporting.deltas import (
     shoulders,
     towers,
 )
+from parallel_cal.exporting.height_map import HeightMap
 from parallel_cal.exporting.projection import (
     Firmware,
     Frame,
@@ -41,7 +42,7 @@ from parallel_cal.importing.settings import Settings
 from parallel_cal.model.model import Model
 
 HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")
-FILE = "config.g"
+FILE, HEIGHT_MAP = "config.g", "heightmap.csv"
 TEETH = 20  # of a motor's gear, if they give the ratio
 MAX_EQUAL_DIFFERENCE_M = 1e-7  # m; the numbers are written with this digit
 EQUAL_ARMS = "the arms differ, but M669 U has one length for all: " + rrf.UNEQUAL_ARMS
@@ -55,6 +56,34 @@ def settings(paths: Sequence[Path], texts: Mapping[Path, str] | None = None) -> 
 def firmware(stated: Settings) -> Firmware:
     of: dict[int, Callable[[Settings], Firmware]] = {6: rrf.read_hangprinter, 9: rrf.read_five_bars}
     return of.get(rrf.kind(stated), rrf.read_delta)(stated)
+
+
+def beside(model: Model, machine: Machine) -> dict[str, str]:
+    """Return the height map of a Delta with a probe: what its numbers leave of the bed's heights.
+
+    As the firmware writes it (HeightMap::SaveToFile of Grid.cpp in 3.5.3); `0` is no height.
+    """
+    deltas = (*LINEAR, *ROTARY)
+    if model.mechanism.name not in deltas or all(s.name != "probe" for s in model.sensors):
+        return {}
+    found = HeightMap.of(model, machine)
+    known = found.heights[np.isfinite(found.heights)] / MM
+    if not len(known):
+        return {}
+    low, high, step = (v / MM for v in (found.at[0], found.at[-1], found.at[1] - found.at[0]))
+    n, edges = len(found.at), f"{low:.2f},{high:.2f}"
+    rows = (
+        ",".join("      0" if np.isnan(cell) else f"{cell / MM:7.3f}" for cell in row)
+        for row in found.heights
+    )
+    lines = [
+        f"{rrf.HEAD}, min error {known.min():.3f}, max error {known.max():.3f}, "
+        f"mean {known.mean():.3f}, deviation {known.std():.3f}",
+        rrf.LABELS[0],
+        f"X,Y,{edges},{edges},{found.radius / MM:.2f},{step:.2f},{step:.2f},{n},{n}",
+        *rows,
+    ]
+    return {HEIGHT_MAP: "\n".join(lines) + "\n"}
 
 
 def complete(read: Firmware, model: Model) -> Firmware:

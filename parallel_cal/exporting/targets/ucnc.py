@@ -11,7 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.units import MM
-from parallel_cal.exporting.deltas import LINEAR, complete_towers, express_gain, fit_equal_towers
+from parallel_cal.exporting.deltas import (
+    LINEAR,
+    complete_towers,
+    describe_unequal_stops,
+    express_gain,
+    fit_equal_towers,
+)
 from parallel_cal.exporting.projection import Firmware, Projection, Refinement
 from parallel_cal.importing.importers import ucnc
 from parallel_cal.importing.importers.ucnc import HEIGHT, RADIUS, ROD
@@ -44,5 +50,6 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
     tall, found = fit_equal_towers(model, PLACES, present, one_stop=True)
     numbers = {ROD: tall.rods[0], RADIUS: tall.radius[0], HEIGHT: tall.heights[0]}
     written = {field: f"{size / MM:.{DECIMALS}f}" for field, size in numbers.items()}
-    made = Projection({FILE: written}, found.frame, found.stops, (INVERT,))
+    remarks = (INVERT, *describe_unequal_stops(model, PLACES))
+    made = Projection({FILE: written}, found.frame, found.stops, remarks)
     return express_gain(model, made, None, "$100 to $102")

@@ -17,6 +17,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Shoulders
+from parallel_cal.importing.importers.maslow import is_listed
 from parallel_cal.importing.settings import Settings, read_fields
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
@@ -29,9 +30,11 @@ REVERSED = deltas.ANGLES_UP.format("grblHAL")
 
 
 def recognizes(path: Path) -> bool:
-    """Whether a file lists settings, and not those of uCNC; logs of Marlin have the same ending."""
+    """Whether a file lists settings, and not those of uCNC or of a Maslow; logs of Marlin have the
+    same ending."""
     stated = settings([path])
-    return bool(stated.texts) and not (UCNC in stated and ROD not in stated)
+    others = UCNC in stated or is_listed({*stated.texts})
+    return bool(stated.texts) and not (others and ROD not in stated)
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:

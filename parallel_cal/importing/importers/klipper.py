@@ -25,6 +25,7 @@ from parallel_cal.importing.klipper_mesh import DEFAULT, choose_mesh, read_mesh
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import (
     PrintedEnds,
+    find_visits,
     join_ends,
     make_joint_samples,
     make_printed_ends,
@@ -105,8 +106,10 @@ def samples(
     printed = join_ends(
         [make_printed_ends(machine, printed_x, printed_y), *([parts.ends] if parts else [])]
     )
+    q = np.array(found)
+    visits = find_visits(machine, q, step)
     touched = make_joint_samples(
-        np.array(found), np.array(heights), paths, step, warnings=warnings, printed=printed
+        q, np.array(heights), paths, step, visits, warnings=warnings, printed=printed
     )
     return replace(touched, configuration=numbers)
 

@@ -258,9 +258,11 @@ static int short_step(const double *here, const double *there)
     return 1;
 }
 
-static int within_limits(int joint, double q)
+/* A machine that was homed stands exactly at its limits: rounding must not put solved joints outside. */
+static int within_limits(int problem, int joint, double q)
 {
-    return @robot@_joint_low[joint] <= q && q <= @robot@_joint_high[joint];
+    double rounding = problem == INVERSE ? 1e-9 : 0;
+    return @robot@_joint_low[joint] - rounding <= q && q <= @robot@_joint_high[joint] + rounding;
 }
 
 /* Solved angles within half a turn of home, or one further where only that is inside the limits;
@@ -272,7 +274,7 @@ static int turned_towards_home(int problem, double *x)
         if (!(TURN[i] > 0)) continue;
         double q = x[i] - TURN[i] * rint((x[i] - HOME[i]) / TURN[i]);
         double other = q - TURN[i] * sign(q - HOME[i]);
-        if (!within_limits(i, q) && within_limits(i, other)) q = other;
+        if (!within_limits(problem, i, q) && within_limits(problem, i, other)) q = other;
         any |= q != x[i];
         x[i] = q;
     }
@@ -486,7 +488,7 @@ static int solve_once(int problem, const double *given, const double *a, int war
             && !short_step(begin, x))
             status = @ROBOT@_OTHER_BRANCH;
     }
-    for (int i = 0; i < NQ; ++i) inside &= within_limits(i, x[i]);
+    for (int i = 0; i < NQ; ++i) inside &= within_limits(problem, i, x[i]);
     return status == @ROBOT@_CONVERGED && !inside ? (int)@ROBOT@_OUTSIDE_LIMITS : status;
 }
 
