@@ -68,6 +68,7 @@ class Robot:
     length_tolerance: float = 5e-4  # m
     angle_tolerance: float = float(np.radians(0.5))
     spread: float = SPREAD
+    left_open: float = 1e-10  # m; by which redundant loops may stay open
 
     def read(self, path: Path) -> Model:
         """Make the model of a file of this robot."""
@@ -132,13 +133,28 @@ ROBOTS = {
         "reflector",
         locked=LEAF_SPRINGS,
         body="left-foot",
-        parallel=("left-foot.",),
+        left_open=0.01,
     ),
     "ankle of a G1": Robot(
         f"{ANKLES}/2_g1_ankle/urdf/23urdf311.xml", "base_link", "reflector", body="roll_link"
     ),
     "ankle of a Tiangong": Robot(
         f"{ANKLES}/5_tiangong/urdf/TG10-00.xml", "base_link", "reflector", body="foot_link"
+    ),
+    "orbita": Robot(
+        "onshape-to-robot-examples/orbita_mujoco/robot.xml",
+        "base",
+        "reflector",
+        body="platform",
+        left_open=0.01,
+    ),
+    "spm": Robot(
+        "placo-examples/models/spm/robot.xml",
+        "moteur_bati",
+        "reflector",
+        driven=("m1", "m2", "m3"),
+        body="4_supporthead",
+        left_open=0.01,
     ),
     "planar-2dof": Robot("onshape-to-robot-examples/planar-2dof/robot.xml", "base", "effector"),
     "robotiq_2f85": Robot(
@@ -188,11 +204,12 @@ class Case:
         true = nominal.with_values(nominal.values + share * nominal.table.tolerance * step)
         urdf = path.suffix == ".urdf"
         drawn = (Pinocchio if urdf else MuJoCo)(path, nominal, robot)
+        drawn.left_open = robot.left_open
         drawn.begin(nominal)
         for remark in export_into(true, "urdf" if urdf else "mjcf", [path]).remarks:
             print(remark)
         peer = (Pinocchio if urdf else MuJoCo)(path, nominal, robot)
-        peer.start = drawn.start
+        peer.start, peer.left_open = drawn.start, robot.left_open
         peer.begin(true)
         low, high = np.transpose(nominal.mechanism.joint_limits)
         shifts = np.random.default_rng([seed, 2]).uniform(-1, 1, (800, len(low)))
