@@ -10,8 +10,9 @@ written into a copy of the file. Pinocchio (URDF) or MuJoCo (MJCF) reads the cop
 robot (loop_peers.py). It must move as the model says. Then the position of its platform is
 measured, and the model as drawn is calibrated with the measurements.
 
-With `--hidden`, two more of these robots are diagnosed: one has a backlash of its first motor, the
-other a compliance of the motor that is loaded most, under a payload and the weights of its links.
+With `--hidden`, three more of these robots are diagnosed: one has a backlash of its first motor.
+The others have a compliance of the motor that is loaded most: one under a payload and the weights
+of its links, one under these weights alone.
 
 With `--drawn`, only the motion of the file as it is drawn is compared.
 """
@@ -51,6 +52,7 @@ POSES, UNSEEN, COMPARED = 80, 100, 200
 # Those of slides are these times the length of the model.
 POSITION, READING, SPREAD = 1e-4, 3e-5, 0.3
 BACKLASH, PAYLOAD = 4e-3, 10.0  # rad, kg
+LOADED = ("joint_compliance", "own_weight_sag")  # effects of a compliance
 GEPETTO, ANKLES = "example-parallel-robots/robots", "Parallel_Ankle_Joint"
 
 
@@ -245,8 +247,9 @@ class Case:
         done = 0
         play = BACKLASH * unit_sizes(self.nominal) * np.eye(len(self.nominal.joints))[0]
         loaded, compliance = 0, 0.0
-        if hidden == "joint_compliance":
-            loaded, compliance = self.compliance()
+        most = PAYLOAD if hidden == "joint_compliance" else 0.0
+        if hidden in LOADED:
+            loaded, compliance = self.compliance(most)
         for q in self.readings:
             visits = []
             try:
@@ -256,7 +259,7 @@ class Case:
                     if hidden == "backlash":
                         there = self.peer.close(self.peer.state(x, q - side * play / 2))
                     elif hidden:
-                        load = PAYLOAD * rng.random()
+                        load = most * rng.random()
                         angle = q.copy()
                         for _ in range(3):  # the load depends on the deflection
                             there = self.peer.close(self.peer.state(there, angle))
@@ -273,14 +276,14 @@ class Case:
                 return
         raise ValueError(f"only {done} poses of {POSES + UNSEEN} can be reached")
 
-    def compliance(self) -> tuple[int, float]:
-        """Return the number of the motor that a payload loads most, and a compliance that deflects
-        it by the size of the backlash."""
+    def compliance(self, payload: float) -> tuple[int, float]:
+        """Return the number of the motor that a payload (kg) and the links load most, and a
+        compliance that deflects it by the size of the backlash."""
         sizes = unit_sizes(self.nominal)
         loads = list[Array]()
         for q in self.readings:
             with suppress(ValueError):  # out of reach
-                loads.append(self.peer.torque(self.peer.reach(q), q, PAYLOAD))
+                loads.append(self.peer.torque(self.peer.reach(q), q, payload))
             if len(loads) == 10:
                 break
         usual = np.median(np.abs(loads), axis=0)  # Nm; N of a slide
@@ -346,7 +349,7 @@ def study(name: str, folder: Path, seed: int, hidden: bool) -> None:
         f"floor {1e6 * floor['position_rms']:.0f} | {time.process_time() - begin:.0f} s",
         flush=True,
     )
-    for effect in ("backlash", "joint_compliance") if hidden else ():
+    for effect in ("backlash", *LOADED) if hidden else ():
         begin = time.process_time()
         data, _ = case.session(seed, effect)
         found = diagnose(case.nominal, data).document()

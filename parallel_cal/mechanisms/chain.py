@@ -75,7 +75,8 @@ class Chain(Mechanism):
     - `home`: `position` and `quaternion` of {P} near which the loops close. Default: that of the
       joints at home.
     - `workspace`: `low` and `high` of the controlled coordinates. Default: around home.
-    - `masses`: bodies with `mass` (kg) and `centre` (m, in their frame).
+    - `masses`: bodies with `mass` (kg) and `centre` (m, in their frame); parts of a rod or an
+      actuator with `mass`, `rod` (name of the loop), `end` (a or b), and `distance` (m) from there.
     - `gravity`, `length_tolerance`, `angle_tolerance` (1 sigma of the geometry, m and rad).
     """
 
@@ -115,7 +116,11 @@ class Chain(Mechanism):
         self._set_joints()
         x, y, z = Entry("options", {"gravity": gravity}, {"gravity"}).vector("gravity").tolist()
         self.gravity = (x, y, z)
-        self.masses, self._centres = read_masses(masses, self.skeleton.bodies)
+        self.masses, self._centres = read_masses(
+            masses,
+            self.skeleton.bodies,
+            [loop.name for loop in self.skeleton.loops if loop.type == "distance"],
+        )
         self.parts = tuple(self.masses)
         self._length_tolerance = float(length_tolerance)
         tolerance = {"m": self._length_tolerance, "rad": float(angle_tolerance)}
@@ -564,13 +569,20 @@ class Chain(Mechanism):
         return [pair if k.a.body == s.base else pair[::-1] for k, pair in pairs]
 
     def centres(self, *args: Any, **kwargs: Any) -> Mapping[str, list[Any]]:
-        """Return the centres of mass of the bodies with a mass."""
+        """Return the centres of mass of the bodies, and the parts of rods, with a mass."""
         q, *passive, r, R, p = args
         frames = self._frames(q, passive[0] if passive else ca.SX(0, 1), r, R, p)
-        return {
-            part: [frames[body][0] + frames[body][1] @ ca.DM(centre)]
-            for part, (body, centre) in self._centres.items()
-        }
+        rods = {loop.name: loop for loop in self.skeleton.loops}
+        found = dict[str, list[Any]]()
+        for part, centre in self._centres.items():
+            if centre.end:
+                ends = self.skeleton.rod_ends(rods[centre.owner], frames, p)
+                near, far = ends if centre.end == "a" else ends[::-1]
+                found[part] = [near + centre.distance * (far - near) / ca.norm_2(far - near)]
+            else:
+                at, turned = frames[centre.owner]
+                found[part] = [at + turned @ ca.DM(centre.point)]
+        return found
 
     def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
         """Return length and ends of the links of an arm without loops, from joint to joint."""
