@@ -10,8 +10,9 @@ written into a copy of the file. Pinocchio (URDF) or MuJoCo (MJCF) reads the cop
 robot (loop_peers.py). It must move as the model says. Then the position of its platform is
 measured, and the model as drawn is calibrated with the measurements.
 
-With `--hidden`, two more of these robots are diagnosed: one has a backlash of its first motor, the
-other a compliance of the motor that is loaded most, under a payload and the weights of its links.
+With `--hidden`, three more of these robots are diagnosed: one has a backlash of its first motor.
+The others have a compliance of the motor that is loaded most: one under a payload and the weights
+of its links, one under these weights alone.
 
 With `--drawn`, only the motion of the file as it is drawn is compared.
 """
@@ -51,6 +52,7 @@ POSES, UNSEEN, COMPARED = 80, 100, 200
 # Those of slides are these times the length of the model.
 POSITION, READING, SPREAD = 1e-4, 3e-5, 0.3
 BACKLASH, PAYLOAD = 4e-3, 10.0  # rad, kg
+LOADED = ("joint_compliance", "own_weight_sag")  # effects of a compliance
 GEPETTO, ANKLES = "example-parallel-robots/robots", "Parallel_Ankle_Joint"
 
 
@@ -68,6 +70,7 @@ class Robot:
     length_tolerance: float = 5e-4  # m
     angle_tolerance: float = float(np.radians(0.5))
     spread: float = SPREAD
+    left_open: float = 1e-10  # m; by which redundant loops may stay open
 
     def read(self, path: Path) -> Model:
         """Make the model of a file of this robot."""
@@ -132,13 +135,28 @@ ROBOTS = {
         "reflector",
         locked=LEAF_SPRINGS,
         body="left-foot",
-        parallel=("left-foot.",),
+        left_open=0.01,
     ),
     "ankle of a G1": Robot(
         f"{ANKLES}/2_g1_ankle/urdf/23urdf311.xml", "base_link", "reflector", body="roll_link"
     ),
     "ankle of a Tiangong": Robot(
         f"{ANKLES}/5_tiangong/urdf/TG10-00.xml", "base_link", "reflector", body="foot_link"
+    ),
+    "orbita": Robot(
+        "onshape-to-robot-examples/orbita_mujoco/robot.xml",
+        "base",
+        "reflector",
+        body="platform",
+        left_open=0.01,
+    ),
+    "spm": Robot(
+        "placo-examples/models/spm/robot.xml",
+        "moteur_bati",
+        "reflector",
+        driven=("m1", "m2", "m3"),
+        body="4_supporthead",
+        left_open=0.01,
     ),
     "planar-2dof": Robot("onshape-to-robot-examples/planar-2dof/robot.xml", "base", "effector"),
     "robotiq_2f85": Robot(
@@ -188,11 +206,12 @@ class Case:
         true = nominal.with_values(nominal.values + share * nominal.table.tolerance * step)
         urdf = path.suffix == ".urdf"
         drawn = (Pinocchio if urdf else MuJoCo)(path, nominal, robot)
+        drawn.left_open = robot.left_open
         drawn.begin(nominal)
         for remark in export_into(true, "urdf" if urdf else "mjcf", [path]).remarks:
             print(remark)
         peer = (Pinocchio if urdf else MuJoCo)(path, nominal, robot)
-        peer.start = drawn.start
+        peer.start, peer.left_open = drawn.start, robot.left_open
         peer.begin(true)
         low, high = np.transpose(nominal.mechanism.joint_limits)
         shifts = np.random.default_rng([seed, 2]).uniform(-1, 1, (800, len(low)))
@@ -228,8 +247,9 @@ class Case:
         done = 0
         play = BACKLASH * unit_sizes(self.nominal) * np.eye(len(self.nominal.joints))[0]
         loaded, compliance = 0, 0.0
-        if hidden == "joint_compliance":
-            loaded, compliance = self.compliance()
+        most = PAYLOAD if hidden == "joint_compliance" else 0.0
+        if hidden in LOADED:
+            loaded, compliance = self.compliance(most)
         for q in self.readings:
             visits = []
             try:
@@ -239,7 +259,7 @@ class Case:
                     if hidden == "backlash":
                         there = self.peer.close(self.peer.state(x, q - side * play / 2))
                     elif hidden:
-                        load = PAYLOAD * rng.random()
+                        load = most * rng.random()
                         angle = q.copy()
                         for _ in range(3):  # the load depends on the deflection
                             there = self.peer.close(self.peer.state(there, angle))
@@ -256,14 +276,14 @@ class Case:
                 return
         raise ValueError(f"only {done} poses of {POSES + UNSEEN} can be reached")
 
-    def compliance(self) -> tuple[int, float]:
-        """Return the number of the motor that a payload loads most, and a compliance that deflects
-        it by the size of the backlash."""
+    def compliance(self, payload: float) -> tuple[int, float]:
+        """Return the number of the motor that a payload (kg) and the links load most, and a
+        compliance that deflects it by the size of the backlash."""
         sizes = unit_sizes(self.nominal)
         loads = list[Array]()
         for q in self.readings:
             with suppress(ValueError):  # out of reach
-                loads.append(self.peer.torque(self.peer.reach(q), q, PAYLOAD))
+                loads.append(self.peer.torque(self.peer.reach(q), q, payload))
             if len(loads) == 10:
                 break
         usual = np.median(np.abs(loads), axis=0)  # Nm; N of a slide
@@ -329,7 +349,7 @@ def study(name: str, folder: Path, seed: int, hidden: bool) -> None:
         f"floor {1e6 * floor['position_rms']:.0f} | {time.process_time() - begin:.0f} s",
         flush=True,
     )
-    for effect in ("backlash", "joint_compliance") if hidden else ():
+    for effect in ("backlash", *LOADED) if hidden else ():
         begin = time.process_time()
         data, _ = case.session(seed, effect)
         found = diagnose(case.nominal, data).document()

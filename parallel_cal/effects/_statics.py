@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -14,6 +15,8 @@ from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 PAYLOAD = "payload"
 JOINTS, RODS = 1, 2  # results of `_slopes`: what the weights act on
+# Of a drive, by the unit of its joint: unit of the compliance, tolerance, and upper bound.
+COMPLIANCE = {"rad": ("rad/(N m)", 1e-3, 1e-2), "m": ("m/N", 1e-6, 1e-5)}
 MIN_WEIGHT_FORCE = 1e-6  # Nm or N, under 1 kg; a joint below it carries no weight
 
 
@@ -26,9 +29,36 @@ def masses(mechanism: Mechanism) -> list[Parameter]:
     ]
 
 
+def compliances(mechanism: Mechanism, joints: Sequence[str]) -> list[Parameter]:
+    """Return the compliances of the drives of some joints."""
+    units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
+    sizes = [(joint, *COMPLIANCE[units[joint]]) for joint in joints]
+    return [
+        Parameter(f"{joint}.compliance", unit, 0.0, tolerance, low=0.0, high=most)
+        for joint, unit, tolerance, most in sizes
+    ]
+
+
+def twist(seen: Seen, e: Named, forces: Any, mechanism: Mechanism) -> Seen:
+    """Return the inputs with every reading changed by the compliance of its drive times the force
+    on it (n_joints, 1), Nm or N."""
+    twists = [
+        e.get(f"{joint}.compliance", 0) * forces[i] for i, joint in enumerate(mechanism.joints)
+    ]
+    return seen.with_q(seen.q + ca.vertcat(*twists))
+
+
 def joint_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     """Return the force of the weights on each joint along its reading (n_joints, 1), Nm or N."""
     return _forces(JOINTS, seen, e, at, mechanism)
+
+
+def link_forces(seen: Seen, tool: Any, mechanism: Mechanism) -> Any:
+    """Return the force on each joint (n_joints, 1), Nm or N, of the known masses of the links, and
+    of a tool (kg) at the origin of {P}."""
+    known = masses(mechanism)
+    e = Named([kind.name for kind in known], ca.vertcat(*[kind.nominal for kind in known]))
+    return joint_forces(seen, e, Named([PAYLOAD], ca.SX(tool)), mechanism)
 
 
 def own_weight_torques(seen: Seen, mechanism: Mechanism, tool: Any = 0.0) -> Any:
@@ -81,7 +111,17 @@ def estimate_joint_loads(mechanism: Mechanism) -> tuple[float, ...]:
     """Return the load of a payload of 1 kg on each joint (Nm or N) of the nominal robot, a little
     away from home."""
     m = mechanism
-    return _estimate_loads(m, m.gravity, m.home, m.parameters)
+    kinds = len(masses(m))
+    return _estimate_loads(m, m.gravity, m.home, m.parameters, (*[0.0] * kinds, 1.0))
+
+
+def find_joints_loaded_by_links(mechanism: Mechanism) -> list[str]:
+    """Return the joints that carry weight of links with a known mass, if statics determines it."""
+    m, known = mechanism, tuple(kind.nominal for kind in masses(mechanism))
+    if not any(known) or len(m.joints) > len(m.moves):
+        return []
+    loads = _estimate_loads(m, m.gravity, m.home, m.parameters, (*known, 0.0))
+    return [j for j, load in zip(m.joints, loads, strict=True) if abs(load) > MIN_WEIGHT_FORCE]
 
 
 def find_self_loaded_joints(mechanism: Mechanism) -> list[str]:
@@ -111,17 +151,23 @@ def needs_rods(mechanism: Mechanism) -> str:
 
 @lru_cache(maxsize=64)
 def _estimate_loads(
-    mechanism: Mechanism, gravity: tuple[float, ...], home: Home, table: ParameterTable
+    mechanism: Mechanism,
+    gravity: tuple[float, ...],
+    home: Home,
+    table: ParameterTable,
+    weights: tuple[float, ...],
 ) -> tuple[float, ...]:
-    """Apply 1 kg to the nominal robot a little away from home.
+    """Apply weights (kg), of each kind of mass and of a payload, to the nominal robot a little away
+    from home.
 
     What a model file sets is passed as an argument, so that the cache stays valid.
     """
-    n, kinds, p = len(home.joints), masses(mechanism), _nominal(table)
+    n, p = len(home.joints), _nominal(table)
+    *known, payload = weights
     q = ca.SX(home.joints + mechanism.length * np.arange(1, n + 1) / (10 * n))
     r, R = mechanism.start(q, p)
-    e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
-    at = Named([PAYLOAD], ca.SX(1))
+    e = Named([kind.name for kind in masses(mechanism)], ca.SX(known))
+    at = Named([PAYLOAD], ca.SX(payload))
     seen = Seen(q, ca.SX(r), ca.SX(R), p, ca.SX(home.passive))
     forces = ca.DM(joint_forces(seen, e, at, mechanism))
     return tuple(float(forces[i]) for i in range(n))

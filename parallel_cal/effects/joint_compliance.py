@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import casadi as ca
-
-from parallel_cal.effects._statics import find_loaded_joints, joint_forces, masses, needs_weight
+from parallel_cal.effects._statics import (
+    compliances,
+    find_loaded_joints,
+    joint_forces,
+    masses,
+    needs_weight,
+    twist,
+)
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
-
-# unit: unit of the compliance, tolerance, and upper bound of real drives
-SIZE = {"rad": ("rad/(N m)", 1e-3, 1e-2), "m": ("m/N", 1e-6, 1e-5)}
 
 
 class JointCompliance(Effect):
@@ -36,22 +38,10 @@ class JointCompliance(Effect):
     separated_by = "several payloads in poses all over the workspace, including its edges"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
-        sizes = [(joint, *SIZE[units[joint]]) for joint in find_loaded_joints(mechanism)]
-        return [
-            *[
-                Parameter(f"{joint}.compliance", unit, 0.0, tolerance, low=0.0, high=most)
-                for joint, unit, tolerance, most in sizes
-            ],
-            *masses(mechanism),
-        ]
+        return [*compliances(mechanism, find_loaded_joints(mechanism)), *masses(mechanism)]
 
     def applies(self, mechanism: Mechanism) -> str:
         return needs_weight(mechanism)
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        torque = joint_forces(seen, e, at, mechanism)
-        twists = [
-            e.get(f"{joint}.compliance", 0) * torque[i] for i, joint in enumerate(mechanism.joints)
-        ]
-        return seen.with_q(seen.q + ca.vertcat(*twists))
+        return twist(seen, e, joint_forces(seen, e, at, mechanism), mechanism)

@@ -315,11 +315,16 @@ def describe(linkage: Linkage, base: str, place: Place, driven: Sequence[str]) -
         *(end for joint in linkage.joints for end in (joint.parent, joint.child)),
         *(end.body for loop in linkage.loops for end in (loop.a, loop.b)),
     }
-    if masses := {
+    masses: dict[str, dict[str, Any]] = {
         name: {"mass": mass, "centre": _numbers(centre)}
         for name, (mass, centre) in linkage.masses.items()
         if mass > 0 and name in bodies
-    }:
+    }
+    for loop in linkage.loops:
+        for name, mass, end, distance in loop.rod.masses if loop.rod else ():
+            at = {"rod": loop.name, "end": end, "distance": distance}
+            masses |= {name: {"mass": mass, **at}} if mass > 0 else {}
+    if masses:
         document["masses"] = masses
     if not np.array_equal(place.frame, np.eye(4)):
         document["target"] = _numbers(place.frame[:3, 3])

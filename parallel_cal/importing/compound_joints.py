@@ -19,6 +19,8 @@ from parallel_cal.importing.linkage import (
 TURNING = {"revolute": 1, "universal": 2, "spherical": 3}
 MAX_DISTANCE_M = 1e-9  # of axes that meet in a point; files have their numbers to 1e-12 m or better
 MIN_SINE = 1e-3  # between axes; of less, a hinge does not add a freedom
+Array = np.ndarray
+
 BALLS = (
     ["point", "point"],
     ["point", "spherical"],
@@ -57,7 +59,7 @@ def _merge(
 ) -> Linkage:
     """Join two passive joints about one point if nothing else holds the body between them; with
     `on_line`, also two hinges on one line."""
-    joints = [*linkage.joints]
+    joints, masses = [*linkage.joints], {**linkage.masses}
     held = {end.body for loop in linkage.loops for end in (loop.a, loop.b)} | {*ends}
     between = [b for joint in joints for b in (joint.parent, joint.child)]
     for body in dict.fromkeys(between):
@@ -70,7 +72,10 @@ def _merge(
         if joint := product_of_joints(into, out, on_line):
             joints[joints.index(first)] = joint
             joints.remove(second)
-    return replace(linkage, joints=tuple(joints))
+            if body in masses:  # a cross, whose centre is at the common point
+                mass, _ = masses.pop(body)
+                add_mass(masses, joint.parent, mass, (joint.origin @ [*joint.anchor, 1.0])[:3])
+    return replace(linkage, joints=tuple(joints), masses=masses)
 
 
 def _reversed(joint: LinkageJoint) -> LinkageJoint:
@@ -149,6 +154,7 @@ def with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str]
         if length < 0:  # its reading falls as it grows: it stays a slide, which must not spin
             joints = [without_spin(one, slide) if one in balls else one for one in joints]
             continue
+        points = p.frame[:3, 3], r.frame[:3, 3]
         strut = LinkageLoop(
             slide.name,
             "distance",
@@ -157,11 +163,38 @@ def with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str]
             length + slide.zero,
             slide.limits,
             slide.where,
-            rod=Rod(slide.name, (p.frame[:3, 3], r.frame[:3, 3]), (balls[0], balls[1]), slide),
+            rod=Rod(
+                slide.name,
+                points,
+                (balls[0], balls[1]),
+                slide,
+                masses_on_strut(linkage, slide, *points),
+            ),
         )
         joints = [joint for joint in joints if joint is not slide and joint not in balls]
         loops = [loop for loop in loops if loop not in balls] + [strut]
     return replace(linkage, joints=tuple(joints), loops=tuple(loops))
+
+
+def masses_on_strut(
+    linkage: Linkage, slide: LinkageJoint, first: Array, second: Array
+) -> tuple[tuple[str, float, str, float], ...]:
+    """Return name and mass (kg) of both halves of a strut, its end (a or b) and the distance (m) of
+    the centre from there towards the other end.
+
+    `first` and `second` (3,) m are the ends in the frames of the halves. What a half has beside the
+    line between both ends may turn about it, and counts as on the line.
+    """
+    along = slide.axes[0]  # in the frame of the second half, at value 0
+    halves = (
+        (slide.parent, "a", first, slide.origin[:3, :3] @ along),
+        (slide.child, "b", second, -along),
+    )
+    return tuple(
+        (body, linkage.masses[body][0], end, float((linkage.masses[body][1] - point) @ inward))
+        for body, end, point, inward in halves
+        if body in linkage.masses
+    )
 
 
 def without_spin(ball: LinkageJoint, slide: LinkageJoint) -> LinkageJoint:

@@ -68,12 +68,13 @@ class Place:
 @dataclass(frozen=True, eq=False)
 class Rod:
     """What a distance between two bodies stands for: the body of a rod with both points in its
-    frame and the balls at them, or the slide between two balls."""
+    frame and the balls at them, or the slide between two balls, with the masses of its halves."""
 
     body: str
     points: tuple[Array, Array]
     balls: tuple[LinkageJoint | LinkageLoop, LinkageJoint | LinkageLoop]
     slide: LinkageJoint | None = None
+    masses: tuple[tuple[str, float, str, float], ...] = ()  # see `masses_on_strut`
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from parallel_cal.importing.linkage import (
 )
 from parallel_cal.importing.located_xml import Element, to_numbers
 from parallel_cal.importing.mjcf_elements import Body, Document, read_document
+from parallel_cal.importing.mjcf_masses import read_masses
 
 Array = np.ndarray
 
@@ -54,6 +55,7 @@ def read_mjcf(path: Path) -> Linkage:
     joints, loops = _equalities(document, joints, frames)
     driven, rods, remarks = read_actuators(document, frames, {one.name for one in joints})
     joints, home_remarks = read_keyframe(document, joints, qpos)
+    masses, mass_remarks = read_masses(document)
     floating = tuple(body.name for body in document.bodies.values() if body.floats)
     return Linkage(
         path,
@@ -64,8 +66,8 @@ def read_mjcf(path: Path) -> Linkage:
         drawn_poses(document, joints),
         driven,
         read_gravity(document),
-        read_masses(document),
-        (*remarks, *home_remarks),
+        masses,
+        (*remarks, *home_remarks, *mass_remarks),
     )
 
 
@@ -315,12 +317,3 @@ def read_gravity(document: Document) -> Array:
         if "gravity" in element.attributes:
             return element.numbers("gravity", 3, "")
     return np.array([0.0, 0.0, -9.81])
-
-
-def read_masses(document: Document) -> dict[str, tuple[float, Array]]:
-    """Return mass and centre of the bodies that state them."""
-    return {
-        name: (float(inertial.numbers("mass", 1, "")[0]), inertial.numbers("pos", 3, "0 0 0"))
-        for name, body in document.bodies.items()
-        for inertial in body.element.all("inertial")
-    }

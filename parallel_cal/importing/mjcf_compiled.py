@@ -37,7 +37,7 @@ DRIVES = {
 def read_compiled_mjcf(path: Path) -> Linkage:
     """Return the linkage of a file; DatasetError with MuJoCo's words if it cannot compile it."""
     try:
-        model = compile_bodies(path)
+        model, stated = compile_bodies(path)
     except (ValueError, OSError) as error:
         raise DatasetError(f"{path}: MuJoCo cannot read it: {error}") from None
     names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
@@ -81,20 +81,26 @@ def read_compiled_mjcf(path: Path) -> Linkage:
         poses,
         tuple(dict.fromkeys(name for name in driven if name in known)),
         model.opt.gravity.copy(),
+        {names[i]: (float(model.body_mass[i]), model.body_ipos[i].copy()) for i in stated},
     )
 
 
-def compile_bodies(path: Path) -> Any:
+def compile_bodies(path: Path) -> tuple[Any, list[int]]:
+    """Return the model, and the numbers of the bodies whose mass the file states."""
     spec = mujoco.MjSpec.from_file(str(path))
     for geom in list(spec.geoms):
         spec.delete(geom)
     for kind in UNUSED.split():
         for one in list(getattr(spec, kind, [])):
             spec.delete(one)
+    stated = [body for body in spec.bodies[1:] if body.explicitinertial]
     for body in spec.bodies[1:]:
-        body.explicitinertial = True
-        body.mass, body.inertia, body.fullinertia = 1.0, [1.0, 1.0, 1.0], [np.nan] * 6
-    return spec.compile()
+        if not body.explicitinertial:  # what moves needs a mass
+            body.explicitinertial = True
+            body.mass, body.inertia, body.fullinertia = 1.0, [1.0, 1.0, 1.0], [np.nan] * 6
+    spec.compiler.balanceinertia = True  # inertias do not matter
+    model = spec.compile()
+    return model, [body.id for body in stated]
 
 
 def _pose(position: Array, quaternion: Array) -> Array:

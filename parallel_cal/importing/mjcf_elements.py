@@ -43,10 +43,10 @@ class Settings:
 
 @dataclass(frozen=True)
 class Body:
-    """A body with its pose in its parent, its joints and sites, in the order of the file.
+    """A body with its pose in its parent, its joints, sites and geometries, in the file's order.
 
-    Joints and sites have the frame (4, 4) in the body of the `<frame>` in which they stand; that of
-    a site includes its own pose.
+    They have the frame (4, 4) in the body of the `<frame>` in which they stand; that of a site or a
+    geometry includes its own pose.
     """
 
     name: str
@@ -55,6 +55,7 @@ class Body:
     element: Element
     joints: tuple[tuple[Element, dict[str, str], Array], ...] = ()
     sites: tuple[tuple[Element, dict[str, str], Array], ...] = ()
+    geoms: tuple[tuple[Element, dict[str, str], Array], ...] = ()
     floats: bool = False
 
 
@@ -146,6 +147,7 @@ def add_bodies(found: Document, element: Element, name: str, pose: Array, style:
     parts = list[tuple[Element, Array, str]]()
     joints = list[tuple[Element, dict[str, str], Array]]()
     sites = list[tuple[Element, dict[str, str], Array]]()
+    geoms = list[tuple[Element, dict[str, str], Array]]()
     floats = False
 
     def collect(part: Element, at: Array, style: str) -> None:
@@ -160,9 +162,10 @@ def add_bodies(found: Document, element: Element, name: str, pose: Array, style:
                 floats = True
             elif one.tag == "joint":
                 joints.append((one, found.with_defaults(one, "joint", style), at))
-            elif one.tag == "site":
-                values = found.with_defaults(one, "site", style)
-                sites.append((one, values, at @ read_pose(one, values, found.settings)))
+            elif one.tag in ("site", "geom"):
+                values = found.with_defaults(one, one.tag, style)
+                own = (one, values, at @ read_pose(one, values, found.settings))
+                (sites if one.tag == "site" else geoms).append(own)
             elif one.tag in NEEDS_PACKAGE:
                 raise NeedsMuJoCo(
                     f"{one.where}: <{one.tag}> is expanded by MuJoCo only: install it "
@@ -172,7 +175,9 @@ def add_bodies(found: Document, element: Element, name: str, pose: Array, style:
     collect(element, np.eye(4), style)
     if element.tag == "body":
         body = found.bodies[name]
-        found.bodies[name] = replace(body, joints=tuple(joints), sites=tuple(sites), floats=floats)
+        found.bodies[name] = replace(
+            body, joints=tuple(joints), sites=tuple(sites), geoms=tuple(geoms), floats=floats
+        )
     else:
         found.bodies.setdefault(name, Body(name, "", np.eye(4), element))
         body = found.bodies[name]

@@ -98,8 +98,8 @@ def evaluate_solver(
 
 def residuals(model: Model, x: np.ndarray, at: Mapping[str, Any] | None) -> np.ndarray:
     """Compute the closure's residual (N,) in m at configurations (N, nq + 12)."""
-    phi = model.structure.closure_batch(x, model.condition_rows(at, len(x)), model.values)[0]
-    return np.asarray(np.linalg.norm(phi, axis=1))
+    (rows,) = model.structure.residual_batch(x, model.condition_rows(at, len(x)), model.values)
+    return np.asarray(np.linalg.norm(rows, axis=1))
 
 
 def with_status(

@@ -53,13 +53,15 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     columns, given, start = split(s, problem)
     J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
     order, home_sign = row_order(s, J), find_home_sign(s, J)
-    (phi, J), constants, symbols = _extract_constant_parts([s.phi, J], ca.vertcat(given, s.v, s.a))
+    (phi, J, rest), constants, symbols = _extract_constant_parts(
+        [s.phi, J, s.residual], ca.vertcat(given, s.v, s.a)
+    )
     before = ca.vertcat(constants, start)
     (before,), tables, table_symbols = _extract_constant_parts([before], s.v)
-    residual = dense("residual", [s.configuration, symbols], [phi])
+    closure, residual = (dense("rows", [s.configuration, symbols], [part]) for part in (phi, rest))
     # The determinant of the ordered rows is that of J times the sign of the permutation.
     side = home_sign * np.linalg.det(np.eye(len(order))[order])
-    step = _step_function(s, residual, J, symbols, columns, order, float(side.round()))
+    step = _step_function(s, closure, J, symbols, columns, order, float(side.round()))
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
     turns = [2 * np.pi * (unit == "rad") for unit in s.mechanism.passive_units]
@@ -108,7 +110,7 @@ def _extract_constant_parts(expressions: list[Any], of: Any) -> tuple[list[Any],
 
 def _step_function(
     s: Structure,
-    residual: ca.Function,
+    closure: ca.Function,
     J: Any,
     symbols: Any,
     columns: list[int],
@@ -126,7 +128,7 @@ def _step_function(
     solver = Elimination(_square(J), order)
 
     def stepped(x: Any) -> tuple[Any, Any]:
-        phi = residual(x, symbols)
+        phi = closure(x, symbols)
         if J.shape[0] < J.shape[1]:
             scaled = J.T @ solver(-phi)
         else:
@@ -250,7 +252,7 @@ class Iteration:
 
     `prepare`: (configuration, a, k) -> constants, start.
     `step`: (configuration, constants) -> configuration, last step (m), smallest pivot.
-    `residual`: (configuration, constants) -> phi.
+    `residual`: (configuration, constants) -> the rows whose norm is the residual.
     `turns`: a whole turn of each passive angle, 0 of a passive length. `home`: their values there.
     """
 

@@ -130,6 +130,10 @@ class Problem:
     # ------------------------------------------------------------------ the careful solver
 
     @cached_property
+    def _rows(self) -> Single:
+        return Single(self.model.structure.residual_batch.function)
+
+    @cached_property
     def _evaluate(self) -> Single:
         return Single(self.model.structure.closure_configuration)
 
@@ -146,8 +150,9 @@ class Problem:
         return float(np.linalg.svd(self._phi_and_jacobian(x, a)[1], compute_uv=False)[-1])
 
     def residual(self, x: np.ndarray, a: np.ndarray) -> float:
-        """Norm of the closure, m."""
-        return float(np.linalg.norm(self._phi_and_jacobian(x, a)[0]))
+        """Norm of the closure, and of how far a configuration is out of reach, m."""
+        (rows,) = self._rows(x, a, self.model.values)
+        return float(np.linalg.norm(rows))
 
     def is_on_home_side(self, x: np.ndarray, a: np.ndarray) -> bool:
         """Whether the determinant of that Jacobian has the sign that it has at home."""
@@ -193,7 +198,7 @@ class Problem:
                 damping = max(damping * 10, 1e-12)
                 if damping > 1e12:
                     break
-        flat = float(np.linalg.norm(J.T @ phi)) < 1e-6 * size
+        flat, size = float(np.linalg.norm(J.T @ phi)) < 1e-6 * size, self.residual(x, a)
         if size < MAX_CLOSED_RESIDUAL_M or (flat and self.redundant):
             return x, size, Status.CONVERGED
         return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED

@@ -28,7 +28,8 @@ class Survey:
 
     `function` computes rows (m,), their derivatives (m, nq + 6 + nu) by (q, r, w, u) and
     (m, n_parameters) by the parameters. `row_scale` and `scale` turn rows and coordinates into
-    metres; `n_joints` and `n_passive` count joints and passive coordinates.
+    metres; `n_joints` and `n_passive` count joints and passive coordinates. A configuration whose
+    rows have a norm of less than `closed` (m) counts as closed.
     """
 
     function: ca.Function
@@ -38,6 +39,13 @@ class Survey:
     n_joints: int
     n_passive: int
     length: float
+    closed: float
+
+    @property
+    def least_rank(self) -> float:
+        """Least singular value, relative to the largest, of an independent row: where loops stay
+        open a little, dependent rows are so only as exactly as this."""
+        return max(RELATIVE_RANK, self.closed / self.length)
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute rows and derivatives in metres, the latter by parameters in their units."""
@@ -54,7 +62,7 @@ class Survey:
         for _ in range(STEPS):
             if np.linalg.norm(phi) < CLOSED * self.length:
                 break
-            step = -np.linalg.lstsq(J[:, columns], phi, rcond=RELATIVE_RANK)[0]
+            step = -np.linalg.lstsq(J[:, columns], phi, rcond=self.least_rank)[0]
             step *= min(1.0, LARGEST_STEP * self.length / max(np.abs(step).max(), 1e-300))
             for share in (1.0, 0.5, 0.25, 0.1):
                 change = np.zeros(len(self.scale))
@@ -81,7 +89,7 @@ class Survey:
         for k in range(TRIES):
             x, left = self.close(start, columns)
             size = float(np.linalg.norm(left))
-            if size < CLOSED * self.length:
+            if size < self.closed:
                 if self._is_within(limits, x):
                     return x, left
                 beyond = beyond or (x, left)
@@ -127,9 +135,9 @@ class Survey:
             reach = np.minimum(amplitude * self.length / self.scale[: self.n_joints], spread)
             moved[: self.n_joints] += reach * rng.uniform(-1, 1, self.n_joints)
             closed, left = self.close(moved, every[self.n_joints :])
-            if np.linalg.norm(left) > CLOSED * self.length:
+            if np.linalg.norm(left) > self.closed:
                 closed, left = self.close(moved, every)
-            if np.linalg.norm(left) <= CLOSED * self.length:
+            if np.linalg.norm(left) <= self.closed:
                 found.append(closed)
         return np.array(found)
 
@@ -144,6 +152,7 @@ class Motion:
     by_parameters: np.ndarray
     n_joints: int
     moves: Sequence[int]
+    least_rank: float  # of singular values, relative to the largest
 
     @classmethod
     def of(cls, survey: Survey, x: np.ndarray, moves: Sequence[int]) -> Motion:
@@ -151,17 +160,15 @@ class Motion:
         _, found, by_parameters = zip(*map(survey.evaluate, x), strict=True)
         by, n = np.array(found), survey.n_joints
         by[:, :, [n + i for i in range(6) if i not in moves]] = 0.0
-        return cls(by, np.array(by_parameters), n, moves)
+        return cls(by, np.array(by_parameters), n, moves, survey.least_rank)
 
     @property
     def regularity(self) -> np.ndarray:
         """How far each configuration is from a singular one (K,), from 0 to 1: the smallest
         singular value of the derivatives by platform and passive coordinates as a share of the
         largest. Motions that are free at all configurations do not count."""
-        n, size = self.n_joints, self.by.shape[2]
-        unknown = [*(n + i for i in self.moves), *range(n + 6, size)]
-        sizes = np.linalg.svd(self.by[:, :, unknown], compute_uv=False)
-        rank = int(np.max(np.sum(sizes > RELATIVE_RANK * sizes[:, :1], axis=1), initial=0))
+        sizes = np.linalg.svd(self.by[:, :, self.unknown], compute_uv=False)
+        rank = int(np.max(np.sum(sizes > self.least_rank * sizes[:, :1], axis=1), initial=0))
         return sizes[:, rank - 1] / sizes[:, 0] if rank else np.ones(len(sizes))
 
     def find_idle(self) -> list[int]:
@@ -173,7 +180,7 @@ class Motion:
             rest = [c for c in range(first, self.by.shape[2]) if c not in idle]
             if not rest:
                 return idle
-            singular = [_null_space(J[:, rest]) for J in self.by]
+            singular = [_null_space(J[:, rest], self.least_rank) for J in self.by]
             if any(Z.shape[1] == 0 for Z in singular):
                 return idle
             idle.append(rest[int(np.argmax(np.linalg.norm(singular[0], axis=1)))])
@@ -185,7 +192,7 @@ class Motion:
         columns = [*range(n), *(n + i for i in self.moves), *range(n + 6, size)]
         found = []
         for J in self.by:
-            motion = _null_space(J[:, columns])
+            motion = _null_space(J[:, columns], self.least_rank)
             found.append(np.zeros((size, motion.shape[1])))
             found[-1][columns] = motion
         return found
@@ -198,7 +205,7 @@ class Motion:
     def find_loose(self) -> np.ndarray:
         """Return motions (nq + 6 + nu, n) that remain if all driven joints are locked, at the
         configuration with the fewest."""
-        locked = [T @ _null_space(T[: self.n_joints]) for T in self.tangents]
+        locked = [T @ _null_space(T[: self.n_joints], self.least_rank) for T in self.tangents]
         return min(locked, key=lambda motion: motion.shape[1])
 
     def find_moves(self, loops: Sequence[int]) -> list[int]:
@@ -212,14 +219,14 @@ class Motion:
         if len(loops) < self.by.shape[1]:
             others = [c for c in range(self.by.shape[2]) if not n <= c < n + 6]
             size = np.abs(self.by[:, :6, others]).max(axis=(0, 2))
-            return [i for i in range(6) if size[i] > RELATIVE_RANK]
+            return [i for i in range(6) if size[i] > self.least_rank]
         pose = [T[n : n + 6] for T in self.tangents]
         size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
-        moves = [i for i in range(6) if size[i] > RELATIVE_RANK]
+        moves = [i for i in range(6) if size[i] > self.least_rank]
 
         def rank_with(coordinates: Sequence[int]) -> int:
             held = [n + i for i in range(6) if i not in coordinates]
-            return max(_rank(np.delete(J, held, axis=1)) for J in self.by)
+            return max(_rank(np.delete(J, held, axis=1), self.least_rank) for J in self.by)
 
         for i in range(6):
             if i not in moves and rank_with([*moves, i]) > rank_with(moves):
@@ -227,42 +234,58 @@ class Motion:
         return sorted(moves)
 
     def find_controls(self, moves: Sequence[int]) -> list[int]:
-        """Return the first of these coordinates that change independently at home."""
-        chosen, T = list[int](), self.tangents[0]
-        for i in moves:
-            rows = T[[self.n_joints + k for k in (*chosen, i)]]
-            if _rank(rows, 1e-3) == len(rows):
-                chosen.append(i)
-        return chosen
+        """Return the first of these coordinates that change independently at home, and if there
+        the joints move the platform in fewer ways than elsewhere, at other configurations."""
+        chosen = list[int]()
+        for T in self.tangents:
+            for i in moves if len(chosen) < self.freedoms else ():
+                rows = T[[self.n_joints + k for k in (*chosen, i)]]
+                if i not in chosen and _rank(rows, 1e-3) == len(rows):
+                    chosen.append(i)
+        return sorted(chosen)
 
-    def find_rows(self) -> np.ndarray:
-        """Return a matrix (n_kept, m) that makes the independent rows of all rows, in metres.
+    def find_rows(self) -> np.ndarray | None:
+        """Return a matrix (n_kept, m) that makes the independent rows of all rows, in metres; None
+        if no matrix makes them at all configurations, but least squares do (`normal_rows`).
 
         Directions in which no coordinate moves any row are omitted: in a plane mechanism, all that
         leaves the plane. A row of 0 and one 1 keeps a row as it is.
         """
-        m = self.by.shape[1]
+        m, least = self.by.shape[1], self.least_rank
         every = np.hstack(list(self.by))
-        local = max(_rank(J) for J in self.by)
+        local = max(_rank(J, least) for J in self.by)
         if local == m:
             return np.eye(m)
-        if _rank(every) > local:  # the directions turn with the bodies
+        if _rank(every, least) > local:  # the directions turn with the bodies
+            if local == len(self.unknown):
+                return None
             from scipy.linalg import qr
 
             pivots = qr(self.by[0].T, pivoting=True, mode="r")[1]
             return np.eye(m)[sorted(pivots[:local])]
-        unused = _null_space(every.T)
-        mixed = np.flatnonzero(np.abs(unused).max(axis=1) > RELATIVE_RANK)
+        unused = _null_space(every.T, least)
+        mixed = np.flatnonzero(np.abs(unused).max(axis=1) > least)
         alone = [i for i in range(m) if i not in mixed]
         keep = [np.eye(m)[alone]]
-        zero = np.abs(every[mixed]).max(axis=1) < RELATIVE_RANK * np.abs(every).max()
+        zero = np.abs(every[mixed]).max(axis=1) < least * np.abs(every).max()
         turning = mixed[~zero]
         if len(turning):
             left, sizes, _ = np.linalg.svd(every[turning], full_matrices=False)
-            basis = np.zeros((int(np.sum(sizes > RELATIVE_RANK * sizes[0])), m))
+            basis = np.zeros((int(np.sum(sizes > least * sizes[0])), m))
             basis[:, turning] = left[:, : len(basis)].T
             keep.append(basis)
         return np.vstack(keep)
+
+    @property
+    def unknown(self) -> list[int]:
+        """Columns of the moved coordinates of the pose and of the passive ones."""
+        n = self.n_joints
+        return [*(n + i for i in self.moves), *range(n + 6, self.by.shape[2])]
+
+    @property
+    def normal_rows(self) -> np.ndarray:
+        """Matrices (K, n_unknown, m) of the normal equations of all rows, at each configuration."""
+        return np.swapaxes(self.by[:, :, self.unknown], 1, 2)
 
     def find_replaced(
         self,
@@ -272,18 +295,19 @@ class Motion:
         passive: Sequence[int],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return two masks of parameters: those that others, or passive coordinates, replace in the
-        kept rows; and those of them that other rows alone contain.
+        kept rows; and those of them that other rows alone contain. `rows` is what makes the kept
+        rows of all: a matrix, or one for each configuration.
 
         Of parameters that replace each other, the one whose tolerance moves the rows most is kept;
         `preference` multiplies this motion.
         """
         J = self._columns(rows, tolerance, passive)
         size = np.linalg.norm(J, axis=0)
-        felt = size > RELATIVE_RANK * size.max(initial=0.0)
+        felt = size > self.least_rank * size.max(initial=0.0)
         kept, rest = np.zeros(len(size), dtype=bool), J.copy()
         while True:
             left = np.where(felt & ~kept, np.linalg.norm(rest, axis=0), 0.0)
-            left[left <= MIN_INDEPENDENT_PART * size] = 0.0
+            left[left <= max(MIN_INDEPENDENT_PART, self.least_rank) * size] = 0.0
             if not left.any():
                 break
             k = int(np.argmax(left * preference))
@@ -291,7 +315,7 @@ class Motion:
             direction = rest[:, k] / left[k]
             rest = rest - np.outer(direction, direction @ rest)
         whole = self._columns(np.eye(self.by.shape[1]), tolerance, passive)
-        in_others = np.linalg.norm(whole, axis=0) > RELATIVE_RANK * np.abs(whole).max(
+        in_others = np.linalg.norm(whole, axis=0) > self.least_rank * np.abs(whole).max(
             initial=1e-300
         )
         return ~kept, ~felt & in_others
@@ -302,19 +326,20 @@ class Motion:
         """Return d rows / d parameters, one tolerance each, without what passive coordinates
         explain, of all configurations below each other."""
         parts = []
-        for J, J_p in zip(self.by, self.by_parameters, strict=True):
-            U, A = rows @ J[:, list(passive)], rows @ J_p * tolerance
-            parts.append(A - U @ (np.linalg.pinv(U, rcond=RELATIVE_RANK) @ A))
+        every = np.broadcast_to(rows, (len(self.by), *rows.shape[-2:]))
+        for kept, J, J_p in zip(every, self.by, self.by_parameters, strict=True):
+            U, A = kept @ J[:, list(passive)], kept @ J_p * tolerance
+            parts.append(A - U @ (np.linalg.pinv(U, rcond=self.least_rank) @ A))
         return np.concatenate(parts)
 
 
-def _rank(J: np.ndarray, least: float = RELATIVE_RANK) -> int:
+def _rank(J: np.ndarray, least: float) -> int:
     sizes = np.linalg.svd(J, compute_uv=False)
     return int(np.sum(sizes > least * sizes[0])) if sizes.size and sizes[0] > 0 else 0
 
 
-def _null_space(J: np.ndarray) -> np.ndarray:
+def _null_space(J: np.ndarray, least: float) -> np.ndarray:
     """Return an orthonormal basis (columns) of what a matrix maps to zero."""
     _, sizes, right = np.linalg.svd(J)
-    rank = int(np.sum(sizes > RELATIVE_RANK * sizes[0])) if sizes.size and sizes[0] > 0 else 0
+    rank = int(np.sum(sizes > least * sizes[0])) if sizes.size and sizes[0] > 0 else 0
     return right[rank:].T

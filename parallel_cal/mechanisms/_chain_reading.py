@@ -332,23 +332,40 @@ def read_coordinates(key: str, given: Any) -> list[str]:
     return [c for c in POSE if c in given]
 
 
+@dataclass(frozen=True)
+class Centre:
+    """Where a mass is: at a point (3,) m in the frame of a body, or on a rod, at a distance (m)
+    from one of its ends, a or b, towards the other."""
+
+    owner: str
+    point: np.ndarray
+    end: str = ""
+    distance: float = 0.0
+
+
 def read_masses(
-    given: Mapping[str, Any] | None, bodies: Collection[str]
-) -> tuple[dict[str, float], dict[str, tuple[str, np.ndarray]]]:
-    """Return the mass of each part that has one, and its body with the centre in its frame.
+    given: Mapping[str, Any] | None, bodies: Collection[str], rods: Collection[str]
+) -> tuple[dict[str, float], dict[str, Centre]]:
+    """Return the mass and the centre of each part that has one.
 
     A part has the name of its body. That of a body `platform` is `platform_body`, because the mass
-    `platform` acts at the origin of {P}.
+    `platform` acts at the origin of {P}. Parts of a rod have any other name.
     """
     entries = Entry("masses", given or {}, {*(given or {})})
-    found, centres = dict[str, float](), dict[str, tuple[str, np.ndarray]]()
-    for body, value in entries.given.items():
-        if body not in bodies:
-            raise ModelError(f"masses: unknown body {body!r}, expected some of {sorted(bodies)}")
-        own = Entry(f"masses: {body}", value, {"mass", "centre"})
-        part = "platform_body" if body == "platform" else str(body)
+    found, centres = dict[str, float](), dict[str, Centre]()
+    for name, value in entries.given.items():
+        on_rod = isinstance(value, Mapping) and "rod" in value
+        if not on_rod and name not in bodies:
+            raise ModelError(f"masses: unknown body {name!r}, expected some of {sorted(bodies)}")
+        keys = {"mass", "rod", "end", "distance"} if on_rod else {"mass", "centre"}
+        own = Entry(f"masses: {name}", value, keys)
+        part = "platform_body" if name == "platform" else str(name)
         if part in found:
-            raise ModelError(f"masses: rename the body {body!r}: there are two parts {part!r}")
+            raise ModelError(f"masses: rename the body {name!r}: there are two parts {part!r}")
         found[part] = own.number("mass")
-        centres[part] = str(body), own.vector("centre", (0.0, 0.0, 0.0))
+        if on_rod:
+            rod, end = own.text("rod", sorted(rods)), own.text("end", ("a", "b"))
+            centres[part] = Centre(rod, np.zeros(3), end, own.number("distance", 0.0))
+        else:
+            centres[part] = Centre(str(name), own.vector("centre", (0.0, 0.0, 0.0)))
     return found, centres

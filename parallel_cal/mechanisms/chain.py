@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -45,11 +46,10 @@ PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
 PREFERENCE = {"zero": 4.0, "length": 4.0} | dict.fromkeys(SHIFTS, 1.0) | dict.fromkeys(TURNS, 0.5)
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
-MAX_ROUNDED_M = 1e-6  # of a loop that stays open because the file states few digits
-ROUNDED = (
-    "; so little stays open if the geometry is stated with few digits and its loops are redundant: "
-    "state more digits"
-)
+MAX_ROUNDED_M = 1e-6  # of redundant loops that stay open because the file states few digits
+# Of lengths, by which redundant loops of a real robot may be open. Of a spherical wrist, true
+# solutions are open by 2, and other extrema of the squares by more than 20.
+MAX_OPEN_TOLERANCES = 10.0
 MIN_REGULARITY = 0.05  # of that around home: of less, home is singular
 
 
@@ -75,7 +75,8 @@ class Chain(Mechanism):
     - `home`: `position` and `quaternion` of {P} near which the loops close. Default: that of the
       joints at home.
     - `workspace`: `low` and `high` of the controlled coordinates. Default: around home.
-    - `masses`: bodies with `mass` (kg) and `centre` (m, in their frame).
+    - `masses`: bodies with `mass` (kg) and `centre` (m, in their frame); parts of a rod or an
+      actuator with `mass`, `rod` (name of the loop), `end` (a or b), and `distance` (m) from there.
     - `gravity`, `length_tolerance`, `angle_tolerance` (1 sigma of the geometry, m and rad).
     """
 
@@ -115,11 +116,18 @@ class Chain(Mechanism):
         self._set_joints()
         x, y, z = Entry("options", {"gravity": gravity}, {"gravity"}).vector("gravity").tolist()
         self.gravity = (x, y, z)
-        self.masses, self._centres = read_masses(masses, self.skeleton.bodies)
+        self.masses, self._centres = read_masses(
+            masses,
+            self.skeleton.bodies,
+            [loop.name for loop in self.skeleton.loops if loop.type == "distance"],
+        )
         self.parts = tuple(self.masses)
-        tolerance = {"m": float(length_tolerance), "rad": float(angle_tolerance)}
+        self._length_tolerance = float(length_tolerance)
+        tolerance = {"m": self._length_tolerance, "rad": float(angle_tolerance)}
         self.parameters = ParameterTable(self.skeleton.parameters(self._target_rows(), tolerance))
         self._combine: np.ndarray | None = None
+        self._by_least_squares = False
+        self._open_at_home: float | None = None  # m; of redundant loops stated with few digits
         self._analyse(guess, moves, controls, workspace)
         self.bodies = {"links": [p.name for p in self.parameters if p.unit == "m"]}
 
@@ -202,6 +210,8 @@ class Chain(Mechanism):
         """Compute what is open of the loops, and the platform's distance from the tree (m, rad)."""
         q, *passive, r, R, p = args
         u = passive[0] if passive else ca.SX(0, 1)
+        if self._by_least_squares:
+            return self._normal_equations(q, r, R, u, p.column)
         rows = ca.vertcat(*[row.value for row in self._rows(q, u, r, R, p)])
         if self._combine is None:
             return rows
@@ -215,6 +225,41 @@ class Chain(Mechanism):
                 scaled = ca.DM(weights[used] * self._row_scale[used])
                 found.append(ca.dot(scaled, rows[used.tolist()]))
         return ca.vertcat(*found)
+
+    def overstretch(self, *args: Any, **kwargs: Any) -> Any:
+        """Compute by how much redundant loops are more open than the tolerances explain, m.
+
+        The normal equations are zero at the maxima of the squares, too.
+        """
+        if not self._by_least_squares:
+            return None
+        q, *passive, r, R, p = args
+        rows = self._rows(q, passive[0] if passive else ca.SX(0, 1), r, R, p)
+        scale = self._row_scale.tolist()
+        gap = ca.norm_2(ca.vertcat(*[k * row.value for k, row in zip(scale, rows, strict=True)]))
+        return ca.fmax(0, gap - MAX_OPEN_TOLERANCES * self._length_tolerance)
+
+    @cached_property
+    def _normal_equations(self) -> ca.Function:
+        """Build the conditions, as a function of (q, r, R, u, geometry), that the sum of the
+        squares of all rows (m^2; angles times `length`) is least.
+
+        They are the derivatives of half this sum by the unknown coordinates, in m, if angles are
+        counted times `length`. Where the loops can close, they are zero where the loops are closed.
+        """
+        q, u = ca.SX.sym("q", len(self.joints)), ca.SX.sym("u", len(self.passive))
+        r, R, w = ca.SX.sym("r", 3), ca.SX.sym("R", 3, 3), ca.SX.sym("w", 3)
+        v = ca.SX.sym("v", len(self.parameters))
+        p = Named(self.parameters.names, v)
+        rows = ca.vertcat(*[x.value for x in self._rows(q, u, r, R + ca.skew(w) @ R, p)])
+        rows *= ca.DM(self._row_scale)
+        unknown = ca.vertcat(ca.vertcat(r, w)[self.moved], u)
+        half = ca.sumsqr(rows) / 2
+        units = [*(["m"] * 3 + ["rad"] * 3), *self.passive_units]
+        used = [units[i] for i in [*self.moved, *range(6, len(units))]]
+        scale = ca.DM([self.length if unit == "rad" else 1.0 for unit in used])
+        normal = ca.substitute(ca.gradient(half, unknown) / scale, w, ca.DM.zeros(3))
+        return ca.Function("normal", [q, r, R, u, v], [normal])
 
     def _rows(self, q: Any, u: Any, r: Any, R: Any, p: Named) -> list[Row]:
         """Return the rows of the moved coordinates of a platform in the tree, and of all loops."""
@@ -270,6 +315,7 @@ class Chain(Mechanism):
             len(self.joints),
             len(self.passive),
             self.length,
+            MAX_ROUNDED_M if self._open_at_home else CLOSED * self.length,
         )
 
     def _analyse(
@@ -320,6 +366,9 @@ class Chain(Mechanism):
         x, left = survey.close_near(guess, every[n:], limits)
         if np.linalg.norm(left) < CLOSED * self.length:
             return x
+        if np.linalg.norm(left) < MAX_ROUNDED_M:
+            self._open_at_home = float(np.abs(left).max())
+            return x
         open_at_home = self._describe_open(left)
         x, left = survey.close_near(guess, every, limits)
         if np.linalg.norm(left) < CLOSED * self.length:
@@ -333,7 +382,7 @@ class Chain(Mechanism):
             f"the loops do not close at home: {open_at_home} with the driven joints at their home, "
             f"and {self._describe_open(left)} if these may move, too, from {TRIES} starts. "
             "Correct the home of joints and platform, the geometry, or a joint or loop whose type "
-            f"is too stiff{ROUNDED if np.abs(left).max() < MAX_ROUNDED_M else ''}"
+            "is too stiff"
         )
 
     def _other_home(self, x: np.ndarray, problem: str, singular: bool = False) -> OpenLoopsError:
@@ -380,7 +429,7 @@ class Chain(Mechanism):
         self._set_joints()
         moved = self._survey()
         x, left = moved.close(rest, range(len(self.joints), len(moved.scale)))
-        if np.linalg.norm(left) < CLOSED * self.length:
+        if np.linalg.norm(left) < moved.closed:
             return x
         self.held = found
         return rest
@@ -437,17 +486,19 @@ class Chain(Mechanism):
         motion = Motion.of(survey, x, self.moved)
         self._row_scale = survey.row_scale
         combine = motion.find_rows()
+        self._by_least_squares = combine is None
         passive = self.passive_columns
         tolerance = self.parameters.tolerance
         # Of equivalent parameters, prefer those that an owner can measure.
         own = [(p.name.startswith("target."), p.name.rpartition(".")[2]) for p in self.parameters]
         preference = np.array([0.25 if last else PREFERENCE.get(key, 2.0) for last, key in own])
-        replaced, unseen = motion.find_replaced(combine, tolerance, preference, passive)
+        kept = motion.normal_rows if combine is None else combine
+        replaced, unseen = motion.find_replaced(kept, tolerance, preference, passive)
         self._combine = combine
         self.fixed = tuple(
             name for name, held in zip(self.parameters.names, replaced, strict=True) if held
         )
-        self.remarks = tuple(self._remarks(motion.freedoms, len(combine), replaced, unseen))
+        self.remarks = tuple(self._remarks(motion.freedoms, kept.shape[-2], replaced, unseen))
 
     def _remarks(
         self, freedoms: int, kept: int, replaced: np.ndarray, unseen: np.ndarray
@@ -461,10 +512,21 @@ class Chain(Mechanism):
                 "all readings are possible, and those that are not are fitted by least squares. If "
                 "the robot moves more freely, a joint or a loop of the description is too stiff"
             )
-        if kept < rows:
+        if self._by_least_squares:
+            found.append(
+                f"{rows - kept} of {rows} rows of the loops depend on the others at every pose, as "
+                "those of hinges do that point at one centre: the robot is where the sum of the "
+                "squares of all is least"
+            )
+        elif kept < rows:
             found.append(
                 f"{rows - kept} of {rows} rows of the loops depend on the others, as those do that "
                 "leave the plane of a plane mechanism: they are not used"
+            )
+        if self._open_at_home is not None:
+            found.append(
+                f"the loops stay up to {1e6 * self._open_at_home:.2g} um open at home: they are "
+                "redundant, and the geometry is stated with few digits"
             )
         if unseen.any():
             found.append(f"fixed, because only such rows contain them: {_group(names[unseen])}")
@@ -507,13 +569,20 @@ class Chain(Mechanism):
         return [pair if k.a.body == s.base else pair[::-1] for k, pair in pairs]
 
     def centres(self, *args: Any, **kwargs: Any) -> Mapping[str, list[Any]]:
-        """Return the centres of mass of the bodies with a mass."""
+        """Return the centres of mass of the bodies, and the parts of rods, with a mass."""
         q, *passive, r, R, p = args
         frames = self._frames(q, passive[0] if passive else ca.SX(0, 1), r, R, p)
-        return {
-            part: [frames[body][0] + frames[body][1] @ ca.DM(centre)]
-            for part, (body, centre) in self._centres.items()
-        }
+        rods = {loop.name: loop for loop in self.skeleton.loops}
+        found = dict[str, list[Any]]()
+        for part, centre in self._centres.items():
+            if centre.end:
+                ends = self.skeleton.rod_ends(rods[centre.owner], frames, p)
+                near, far = ends if centre.end == "a" else ends[::-1]
+                found[part] = [near + centre.distance * (far - near) / ca.norm_2(far - near)]
+            else:
+                at, turned = frames[centre.owner]
+                found[part] = [at + turned @ ca.DM(centre.point)]
+        return found
 
     def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
         """Return length and ends of the links of an arm without loops, from joint to joint."""

@@ -241,9 +241,12 @@ class Mechanism(ByContent, ABC):
             Geometric parameters by name.
         """
 
+    def overstretch(self, *args: Any, **kwargs: Any) -> Any:
+        """Return how far (m) a configuration with a closure of 0 is out of reach; None: never."""
+        return None
+
     def arguments(self, q: Any, u: Any, r: Any, R: Any, p: Named) -> tuple[Any, ...]:
-        """Return the arguments of `closure`, `centres` and `drawing`: with the passive coordinates
-        u if the mechanism declares some."""
+        """Return the arguments of `closure` and of what follows: u only if it is `passive`."""
         return (q, u, r, R, p) if self.passive else (q, r, R, p)
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:

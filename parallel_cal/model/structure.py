@@ -117,6 +117,19 @@ class Structure:
             raise wrap_plugin_error(self.mechanism.name, error) from error
         return self._check_closure(phi)
 
+    @cached_property
+    def residual(self) -> Any:
+        """The rows whose norm is the residual: the closure, and where it is zero out of the robot's
+        reach, how far (m)."""
+        m, seen = self.mechanism, self.seen
+        beyond = m.overstretch(*m.arguments(seen.q, seen.u, seen.r, seen.R, seen.p))
+        return self.phi if beyond is None else self.phi + beyond
+
+    @cached_property
+    def residual_batch(self) -> Batch:
+        """(configuration, a, v) -> `residual`, on arrays of samples."""
+        return Batch(dense("residual", (self.configuration, self.a, self.v), (self.residual,)))
+
     @property
     def equations(self) -> int:
         """Number of equations between joints and pose: rows of the closure, less those that

@@ -177,6 +177,72 @@ def test_the_mass_of_a_rod_is_shared_by_the_bodies_at_its_ends(tmp_path):
     assert given["foot"]["centre"] == pytest.approx([-0.05, 0.035, 0])
 
 
+BOOM = """<mujoco><worldbody>
+  <body name="boom" pos="0 0 0.5"><joint name="hip" type="hinge" axis="0 -1 0"/>
+    <inertial mass="8" pos="0.4 0 0.05" diaginertia="1 1 1"/>
+    <site name="eye" pos="0.5 0 -0.1"/><site name="tip" pos="1 0 0"/></body>
+  <body name="cross" pos="0.2 0 0"><joint name="foot1" type="hinge" axis="0 1 0"/>
+    <inertial mass="0.5" pos="0 0 0" diaginertia="1 1 1"/>
+    <body name="gimbal"><joint name="foot2" type="hinge" axis="1 0 0"/>
+      <body name="cylinder" euler="0 36.86989764584402 0"><joint name="foot3" type="hinge"/>
+        <inertial mass="3" pos="0.02 0 0.15" diaginertia="1 1 1"/>
+        <body name="piston" pos="0 0 0.3"><joint name="ram" type="slide" axis="0 0 1"/>
+          <inertial mass="2" pos="0 0 0.1" diaginertia="1 1 1"/><site name="head" pos="0 0 0.2"/>
+</body></body></body></body></worldbody>
+<equality><connect site1="head" site2="eye"/></equality>
+<actuator><position joint="ram"/></actuator></mujoco>"""
+
+
+def test_both_halves_of_a_strut_weigh_on_it_where_they_are(tmp_path):
+    """The cylinder's centre is 0.15 m from the foot, the piston's 0.1 m from the eye of the boom.
+    The force on the strut is what all weights lose in height per metre of it."""
+    chain_read = chain([written(tmp_path, "boom.xml", BOOM)], platform="tip").model
+    m = chain_read.mechanism
+    links = {"boom": 8.0, "cylinder": 3.0, "piston": 2.0, "world": 0.5}  # the cross is at the foot
+    assert m.masses == pytest.approx(links)
+    at = m.options["masses"]
+    assert at["cylinder"] == {
+        "mass": 3.0,
+        "rod": "ram",
+        "end": "a",
+        "distance": pytest.approx(0.15),
+    }
+    assert at["piston"] == {"mass": 2.0, "rod": "ram", "end": "b", "distance": pytest.approx(0.1)}
+    foot = np.array([0.2, 0.5])  # below the hip, which is the origin here
+
+    def heights(angle):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        eye, boom = turn @ [0.5, -0.1] + [0, 0.5], turn @ [0.4, 0.05]
+        along = eye - foot * [1, 0]
+        length = np.linalg.norm(along)
+        up = along[1] / length
+        return length, 8 * boom[1] + 3 * 0.15 * up + 2 * (length - 0.1) * up
+
+    (one, low), (two, high) = heights(0.2 - 1e-5), heights(0.2 + 1e-5)
+    force = -9.81 * (high - low) / (two - one)
+    plain = Kinematics(chain_read)
+    model = chain_read.with_effect("own_weight_sag")
+    sizes = {"own_weight_sag.ram.compliance": 1e-7}
+    yields = Kinematics(model.with_values(model.table.vector(sizes)))
+    reading = heights(0.2)[0] - 0.5  # the strut is 0.5 m long in the drawing
+    expected = plain.direct([reading + 1e-7 * force]).position
+    assert yields.direct([reading]).position == pytest.approx(expected, abs=1e-9)
+    assert np.abs(expected - plain.direct([reading]).position).max() > 1e-5
+
+
+def test_mujoco_reads_the_same_masses_from_an_mjcf(tmp_path):
+    pytest.importorskip("mujoco")
+    from parallel_cal.importing.mjcf import read_mjcf
+    from parallel_cal.importing.mjcf_compiled import read_compiled_mjcf
+
+    path = written(tmp_path, "boom.xml", BOOM)
+    one, other = read_mjcf(path).masses, read_compiled_mjcf(path).masses
+    assert set(one) == {"boom", "cross", "cylinder", "piston"} == set(other)
+    for name, (mass, centre) in one.items():
+        assert mass == pytest.approx(other[name][0])
+        assert centre == pytest.approx(other[name][1])
+
+
 def test_rod_lengths_balls_and_the_target_of_an_ankle_go_into_its_mjcf(tmp_path):
     path = written(tmp_path, "ankle.xml", own.ANKLE_MJCF)
     model = chain([path], platform="toe").model

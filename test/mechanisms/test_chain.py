@@ -533,6 +533,49 @@ def test_a_mass_on_a_crank_acts_at_its_centre():
     assert found.rotation == pytest.approx(expected.rotation, abs=1e-8)
 
 
+def heavy_ankle():
+    """An ankle with a heavy left crank and a heavy foot."""
+    masses = {
+        "left_crank": {"mass": 4.0, "centre": [-0.1, 0, 0]},
+        "foot": {"mass": 2.5, "centre": [0.06, 0.02, -0.04]},
+    }
+    return make_chain(chains.ankle() | {"target": [0.15, 0.05, -0.05], "masses": masses})
+
+
+def weights_by_virtual_work(chain, q, tool=0.0):
+    """The torques of the weights (N m): what their heights lose per angle of each motor."""
+    on_foot = np.array([0.06, 0.02, -0.04]) - [0.15, 0.05, -0.05]
+
+    def lost_energy(q):
+        at = pc.Kinematics(chain).direct(q)
+        crank = 0.1 * np.sin(q[0])  # it turns about y, so the mass on its side -x rises
+        foot = at.position[2] + (at.rotation @ on_foot)[2]
+        return -9.81 * (4.0 * crank + 2.5 * foot + tool * at.position[2])
+
+    step = 1e-5 * np.eye(2)
+    return np.array([lost_energy(q + s) - lost_energy(q - s) for s in step]) / 2e-5
+
+
+@pytest.mark.parametrize("tool", [0.0, 1.5])
+def test_known_masses_of_links_twist_the_motors_without_a_payload(tool):
+    chain, q = heavy_ankle(), np.array([0.2, -0.1])
+    model = yielding(chain, "own_weight_sag", 1e-5)
+    model = model.with_values(
+        np.where(np.array(model.table.names) == "own_weight_sag.tool", tool, model.values)
+    )
+    torque = weights_by_virtual_work(chain, q, tool)
+    assert np.abs(torque).min() > 0.1
+    expected = pc.Kinematics(chain).direct(q + 1e-5 * torque)
+    found = pc.Kinematics(model).direct(q)
+    assert found.position == pytest.approx(expected.position, abs=1e-8)
+    assert np.abs(found.position - pc.Kinematics(chain).direct(q).position).max() > 1e-6
+
+
+def test_links_of_a_closed_chain_without_known_masses_yield_nothing():
+    with pytest.raises(ModelError, match="no other robot with links of a known mass"):
+        make_chain(chains.ankle()).with_effect("own_weight_sag")
+
+
 def test_a_body_named_platform_has_a_mass_of_its_own():
     """Many files call a body so; `mass.platform` is the mass at the origin of {P}."""
     crank = {"left_crank": "platform"}

@@ -88,6 +88,13 @@ MUTANTS = (
         "test_chain.py test_closed_chain_files.py",
     ),
     Mutant(
+        "model/structure.py",
+        "        return self.phi if beyond is None else self.phi + beyond\n",
+        "        return self.phi\n",
+        "a wrist with open loops is a solution",
+        "test_redundant_loops.py",
+    ),
+    Mutant(
         "exporting/targets/mjcf.py",
         "        if np.abs(apart).max() > ROUNDING_TOLERANCE:\n            raise",
         "        if False:\n            raise",
@@ -228,7 +235,7 @@ MUTANTS = (
         "test_effects_load.py test_effects.py",
     ),
     Mutant(
-        "effects/joint_compliance.py",
+        "effects/_statics.py",
         "seen.with_q(seen.q + ca.vertcat(*twists))",
         "seen.with_q(seen.q - ca.vertcat(*twists))",
         "a shaft turns against its load",
