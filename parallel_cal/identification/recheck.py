@@ -111,6 +111,11 @@ class Recheck:
         return self._decide(self.looks[-1])
 
     @property
+    def is_decided(self) -> bool:
+        """Whether all samples decide what has changed, or that nothing has."""
+        return self.verdict not in (CHANGED, UNDECIDED)
+
+    @property
     def is_shown(self) -> bool:
         """Whether it is likelier that the robot has drifted than that nothing has changed."""
         return self.outcomes[DRIFTED] > self.outcomes[UNCHANGED]
@@ -215,8 +220,7 @@ def recheck(
     FitError
         If the model was never fitted, or nobody stated the noise: its evidence has no size then.
     """
-    if not 0.5 < certainty < 1:
-        raise FitError(f"certainty {certainty:g}: expected a probability above 0.5 and below 1")
+    check_certainty(certainty)
     observations = observe(model, dataset, joint_sigma, insist)
     if observations.noise_assumed:
         raise FitError(
@@ -239,6 +243,12 @@ def recheck(
     kinds = tuple(one.kind for one in test.changes)
     names = tuple(one.name for one in test.changes)
     return Recheck(tuple(looks), names, kinds, certainty, drift, growth)
+
+
+def check_certainty(certainty: float) -> None:
+    """Raise FitError unless a certainty is above 0.5 and below 1."""
+    if not 0.5 < certainty < 1:
+        raise FitError(f"certainty {certainty:g}: expected a probability above 0.5 and below 1")
 
 
 def _expect_drift(

@@ -1,0 +1,134 @@
+"""A campaign that only decides whether the virtual Delta has drifted, and updates its model."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from campaign_cells import SimulatedCell, model_of
+
+import parallel_cal as pc
+from parallel_cal.base.errors import FitError
+from parallel_cal.campaign.campaign import Campaign
+from parallel_cal.campaign.cell import Control, Sample
+from parallel_cal.campaign.goal import Goal
+from parallel_cal.campaign.journal import FILE, CampaignError, find_unfinished
+from parallel_cal.campaign.path_guard import Guard
+from parallel_cal.campaign.targets import first_targets
+from parallel_cal.campaign.trajectory import plan_trajectory
+from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.recordings.joining import join_datasets
+
+SEED = 3
+GOAL = Goal(poses=24, update=True)
+
+
+class DriftedCell(SimulatedCell):
+    """The encoders' zeros (rad) and the tracker (m) have shifted since the calibration."""
+
+    zeros, shift = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+    def sample(self, go_on):
+        sample = super().sample(go_on)
+        d = sample.dataset
+        return replace(sample, dataset=replace(d, q=d.q + self.zeros, r=d.r + self.shift))
+
+
+def visit(cell, model, targets):
+    """Samples of a cell at targets."""
+    guard, samples = Guard.of(model), []
+    for target in targets:
+        path = guard.plan_path(cell.joints(), [np.array(target.joints)])
+        cell.move(plan_trajectory(path, model.mechanism), lambda: None)
+        samples.append(cell.sample(lambda: None).dataset)
+    return join_datasets(samples, [1] * len(samples))
+
+
+@cache
+def calibrated():
+    """The text of the model of a calibrated Delta."""
+    model = model_of("delta")
+    cell = SimulatedCell(seed=SEED)
+    data = visit(cell, model, first_targets(Guard.of(model), 50))
+    result = pc.fit(model, data, hold_out=0.0)
+    return dump_model(replace(result.model, history=(result.history_entry(),)))
+
+
+def run(folder, zeros=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0), goal=GOAL, **more):
+    cell = DriftedCell(seed=SEED)
+    cell.zeros, cell.shift = zeros, shift
+    campaign = Campaign(folder, calibrated(), goal, cell, **more)
+    outcome = campaign.run()
+    campaign.close()
+    return outcome
+
+
+def test_without_a_drift_the_model_is_kept_before_all_poses_are_measured(tmp_path):
+    heard = []
+    outcome = run(tmp_path, tell=heard.append)
+    assert (outcome.success, outcome.verdict, outcome.text) == (True, "unchanged", "")
+    assert 3 <= outcome.samples < 20
+    assert "the model is kept" in outcome.message
+    assert outcome.document["drift"]["decision"]["verdict"] == "unchanged"
+    assert [one.verdict for one in heard][-1] == "unchanged"
+
+
+def test_a_zero_that_jumped_updates_the_model(tmp_path):
+    outcome = run(tmp_path, zeros=(0.0, 3e-3, 0.0))
+    assert (outcome.success, outcome.verdict) == (True, "drifted")
+    assert next(iter(outcome.document["drift"]["parts"])) == "zero of joint2"
+    assert outcome.samples < 20
+    before, after = parse_model(calibrated()), parse_model(outcome.text)
+    q = np.array(before.mechanism.home.joints)[None]
+    truth = pc.Kinematics(before).direct(q - [0.0, 3e-3, 0.0]).position
+    errors = [np.linalg.norm(pc.Kinematics(m).direct(q).position - truth) for m in (before, after)]
+    assert errors[1] < 0.25 * errors[0]
+
+
+def test_a_tracker_that_was_moved_changes_no_model(tmp_path):
+    outcome = run(tmp_path, shift=(0.4e-3, 0.4e-3, -0.4e-3))
+    assert (outcome.success, outcome.verdict, outcome.text) == (True, "device_moved", "")
+
+
+def test_a_limit_ends_an_update_that_is_not_decided(tmp_path):
+    outcome = run(tmp_path, goal=replace(GOAL, poses=2))
+    assert (outcome.success, outcome.verdict, outcome.samples) == (False, "undecided", 2)
+    assert outcome.message.startswith("2 poses were measured, the maximum that was allowed: ")
+
+
+def test_an_update_goes_on_where_it_stopped_and_not_as_another_campaign(tmp_path):
+    control = Control()
+    seen = []
+
+    class Watched(DriftedCell):
+        def sample(self, go_on):
+            seen.append(1)
+            if len(seen) == 2:
+                control.abort()
+            return super().sample(go_on)
+
+    folder = tmp_path / "a"
+    first = Campaign(folder, calibrated(), GOAL, Watched(seed=SEED), control=control)
+    stopped = first.run()
+    first.close()
+    assert not stopped.ended
+    assert find_unfinished(tmp_path, calibrated(), update=True) == folder
+    assert find_unfinished(tmp_path, calibrated()) is None
+    with pytest.raises(CampaignError, match="only one of both is an update"):
+        Campaign(folder, calibrated(), Goal(), DriftedCell(seed=SEED))
+    outcome = run(folder)
+    assert outcome.verdict == "unchanged"
+    lines = [json.loads(line) for line in (folder / FILE).read_text().splitlines()]
+    assert sum("sample" in line for line in lines) == outcome.samples
+    assert find_unfinished(tmp_path, calibrated(), update=True) is None
+
+
+def test_an_update_needs_a_calibration_and_a_certainty(tmp_path):
+    cell = DriftedCell(seed=SEED)
+    outcome = Campaign(tmp_path, dump_model(model_of("delta")), GOAL, cell).run()
+    assert "the model has no covariance of one" in outcome.message
+    assert not cell.sent
+    with pytest.raises(FitError, match=r"certainty 1: expected"):
+        Goal(update=True, certainty=1.0)
+    assert isinstance(cell.sample(lambda: None), Sample)
