@@ -4,10 +4,12 @@ A Delta and a hexapod of points and rods (parallel_cal/virtual, which shares not
 of the package) are calibrated with 100 poses of a tracker (30 um). Later something may have
 changed: nothing; the zero of one joint by 1, 3 or 10 times its usual drift (0.5 mrad or 50 um); all
 zeros by it; the workshop by 15 K; a rod or leg by 0.2 mm; the tracker by 0.3 mm. The poses of
-`plan --update` are measured in their order until `recheck` is certain.
+`plan --update` are measured in their order until `recheck` is certain; if the robot has drifted,
+until a model updated with them is nearly as certain as the calibration was, as `calibrate --update`
+does.
 
-Usage: `python -m bench.truth.recheck [robots]` prints the tables of docs/recheck.md; `alarms
-[sessions]` only counts false alarms.
+Usage: `python -m bench.truth.recheck [robots]` prints the tables of docs/recheck.md; `alarms` only
+counts false alarms.
 """
 
 from __future__ import annotations
@@ -20,8 +22,16 @@ import numpy as np
 
 import parallel_cal as pc
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.campaign.updating import needs_more
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.recheck import DEVICE_MOVED, DRIFTED, UNCHANGED, recheck
+from parallel_cal.identification.recheck import (
+    CHANGED,
+    DEVICE_MOVED,
+    DRIFTED,
+    UNCHANGED,
+    UNDECIDED,
+    recheck,
+)
 from parallel_cal.model.model import Model, Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
@@ -57,6 +67,7 @@ class Kind:
     sigma: float  # of a joint reading
     zero: float
     rod: str
+    wave: float  # of an encoder's error
 
     def nominal(self) -> Model:
         return replace(new_model(self.model), noise=Noise(self.sigma, TRACKER_M, None))
@@ -71,7 +82,7 @@ class Kind:
 
     def positions(self, state: State, q: np.ndarray) -> np.ndarray:
         """Where the platform is (N, 3) at joint readings q (N, nq)."""
-        turned = q + state.eccentricity * np.sin(q / self.zero * 1e-3)
+        turned = q + state.eccentricity * np.sin(2 * np.pi * q / self.wave)
         return np.asarray(self.truth(state.dimensions).forward(turned - state.zeros)[0])
 
     def measure(self, state: State, q: np.ndarray, rng: np.random.Generator) -> Dataset:
@@ -110,8 +121,8 @@ class Kind:
 
 
 KINDS = (
-    Kind("Delta", vr.Delta, "delta24", 2e-5, 0.5e-3, "chain{}.Lb"),
-    Kind("hexapod", Stewart, "stewart42", 5e-6, 50e-6, "leg{}.L0"),
+    Kind("Delta", vr.Delta, "delta24", 2e-5, 0.5e-3, "chain{}.Lb", 0.5),
+    Kind("hexapod", Stewart, "stewart42", 5e-6, 50e-6, "leg{}.L0", 20e-3),
 )
 
 
@@ -148,11 +159,13 @@ def rms(kind: Kind, model: Model, state: State, q: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Outcome:
-    """After how many poses it was decided how, whether the likeliest part is right (None: no single
-    part changed), and the errors (m) of the old model, updated there, and by all planned poses."""
+    """After how many poses it was decided how; how many a campaign took; whether the likeliest part
+    is right then (None: no single part changed); and the errors (m) of the old model, and of it
+    updated when it was decided, when the campaign ended, and by all planned poses."""
 
     poses: int
     verdict: str
+    taken: int
     part: bool | None
     errors: tuple[float, ...]
 
@@ -162,23 +175,31 @@ def decide(kind: Kind, robot: Calibrated, name: str, seed: int) -> Outcome:
     today, part = kind.change(robot.state, name, rng)
     samples = kind.measure(today, robot.joints, rng)
     poses, verdict = recheck(robot.model, samples).decision
-    first = samples.select(np.arange(poses))
-    found = next(iter(recheck(robot.model, first).parts))
-    models, update = [robot.model], FitOptions(hold_out=0.0, update=True)
-    for some in (first, samples):
-        models.append(
-            pc.fit(robot.model, some, update).model
-            if verdict in (DRIFTED, "changed")
-            else models[0]
-        )
+    for taken in range(poses, PLANNED + 1):
+        found = recheck(robot.model, samples.select(np.arange(taken)))
+        if not needs_more(found):
+            break
+    models = [robot.model]
+    for count in (poses, taken, PLANNED):
+        some = samples.select(np.arange(count))
+        update = FitOptions(hold_out=0.0, update=True)
+        drifted = verdict in (DRIFTED, CHANGED)
+        models.append(pc.fit(robot.model, some, update).model if drifted else robot.model)
     errors = tuple(rms(kind, model, today, robot.unseen) for model in models)
     # The offset of a leg is its zero.
-    right = found == part or (".L0" in part and found == f"zero of {part.split('.')[0]}")
-    return Outcome(poses, verdict, right if part else None, errors)
+    likeliest = next(iter(found.parts))
+    right = likeliest == part or (".L0" in part and likeliest == f"zero of {part.split('.')[0]}")
+    return Outcome(poses, verdict, taken, right if part else None, errors)
 
 
 def say_poses(counts: Sequence[int]) -> str:
     return f"{np.median(counts):.0f}, 90 %: {np.quantile(counts, 0.9, method='lower'):.0f}"
+
+
+def say_fixed(shares: np.ndarray, certainty: float) -> str:
+    """The fewest poses of a plan of fixed length that decide as often as the certainty says."""
+    enough = np.flatnonzero(shares >= min(certainty, 0.95))
+    return str(enough[0] + 1) if len(enough) else f"more than {PLANNED}"
 
 
 def tabulate(kind: Kind, robots: Sequence[Calibrated]) -> None:
@@ -188,16 +209,16 @@ def tabulate(kind: Kind, robots: Sequence[Calibrated]) -> None:
         found = [decide(kind, one, name, seed) for seed, one in enumerate(robots)]
         wanted = RIGHT.get(name, DRIFTED)
         right = [one for one in found if one.verdict == wanted]
-        open_ = sum(one.verdict in ("undecided", "changed") for one in found)
+        open_ = sum(one.verdict in (CHANGED, UNDECIDED) for one in found)
         wrong = len(found) - len(right) - open_
         parts = [one.part for one in right if one.part is not None]
-        before, stopped, planned = 1e6 * np.sqrt(
-            np.mean([np.square(one.errors) for one in found], axis=0)
-        )
+        squares = np.mean([np.square(one.errors) for one in found], axis=0)
+        errors = " | ".join(f"{1e6 * e:.0f}" for e in np.sqrt(squares))
+        named = f"{sum(parts)} of {len(parts)}" if parts else ""
         print(
             f"| {kind.name} | {name} | {say_poses([one.poses for one in found])} | {len(right)} "
-            f"| {wrong} | {open_} | {sum(parts)} of {len(parts)} | {before:.0f} | {stopped:.0f} "
-            f"| {planned:.0f} |",
+            f"| {open_} | {wrong} | {say_poses([one.taken for one in found])} | {named} "
+            f"| {errors} |",
             flush=True,
         )
 
@@ -205,6 +226,7 @@ def tabulate(kind: Kind, robots: Sequence[Calibrated]) -> None:
 def count_alarms(kind: Kind, robots: Sequence[Calibrated], sessions: int, model: str) -> None:
     """Sessions without a change, at several certainties."""
     poses: dict[float, list[int]] = {c: [] for c in CERTAINTIES}
+    fixed = {c: np.zeros(PLANNED) for c in CERTAINTIES}  # decided at just so many poses
     verdicts: dict[float, list[str]] = {c: [] for c in CERTAINTIES}
     for seed, robot in enumerate(robots):
         rng = np.random.default_rng([seed, 3])
@@ -214,13 +236,16 @@ def count_alarms(kind: Kind, robots: Sequence[Calibrated], sessions: int, model:
                 n, verdict = replace(found, certainty=c).decision
                 poses[c].append(n)
                 verdicts[c].append(verdict)
+                limit = np.log(1 / c - 1)
+                fixed[c] += [one.rival[1] <= limit and 1 - one.unchanged < c for one in found.looks]
     for c in CERTAINTIES:
         n = len(verdicts[c])
         alarms = sum(v in (DRIFTED, DEVICE_MOVED) for v in verdicts[c])
         kept = sum(v == UNCHANGED for v in verdicts[c])
         print(
             f"| {kind.name} | {model} | {c:g} | {(1 - c) / c:.2%} | {alarms} of {n} "
-            f"({alarms / n:.2%}) | {kept / n:.0%} | {say_poses(poses[c])} |",
+            f"({alarms / n:.2%}) | {kept / n:.0%} | {say_poses(poses[c])} "
+            f"| {say_fixed(fixed[c] / n, c)} |",
             flush=True,
         )
 
@@ -234,8 +259,8 @@ def main() -> None:
             if "alarms" not in asked:
                 tabulate(kind, made)
             count_alarms(kind, made, 25, "complete")
-            # An encoder's error that the model lacks: about as large as the noise of a pose.
-            lacking = [calibrate(kind, seed, 0.4 * kind.zero) for seed in range(robots)]
+            # An encoder's error that the model lacks, larger than the noise of a pose.
+            lacking = [calibrate(kind, seed, 0.6 * kind.zero) for seed in range(robots)]
             misfit = np.median([one.model.history[0]["chi2_per_dof"] for one in lacking])
             count_alarms(kind, lacking, 25, f"lacks an effect, chi2/dof {misfit:.2g}")
 
