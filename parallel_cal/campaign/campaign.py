@@ -427,7 +427,7 @@ class Campaign:
         """Decide whether the robot has drifted; return an outcome if that was the last pose."""
         found: Recheck = self._work(updating.judge, self.model, self.dataset, self.goal)
         self._drift, words = found, found.warnings[0]
-        self._report_status("judging", f"{len(self.samples)} samples: {words}")
+        self._report_status("judging", f"{len(self.samples)} samples; {found.progress}")
         if over:
             return self._outcome(found.is_decided, f"{over}: {words}")
         return None if updating.needs_more(found) else self._outcome(True, words)

@@ -147,17 +147,22 @@ def calibrate(
             certainty=certainty,
             output_file=str(output.resolve()) if output else "",
         )
-    document: dict[str, Any] = json.loads(result.json) if result.json else {}
-    if as_json:
-        console.emit(document | {"success": result.success, "message": result.message})
-    else:
-        console.say(f"{'done' if result.success else 'ended'}: {result.message}")
-        if result.hash:
-            console.say(f"written to {output or model}: sha256 {result.hash[:12]}")
-        if cell and not terminal.is_interrupted():
-            console.say(f"hidden effects: {', '.join(calibration.hidden) or 'none'}")
+    shown = cell is not None and not terminal.is_interrupted()
+    _print_result(result, output or model, calibration.hidden if shown else None, as_json)
     if not result.success:
         raise typer.Exit(1)
+
+
+def _print_result(result: Any, written: Path, hidden: list[str] | None, as_json: bool) -> None:
+    """Print how a campaign ended, and the effects that a simulated robot has."""
+    if as_json:
+        document: dict[str, Any] = json.loads(result.json) if result.json else {}
+        return console.emit(document | {"success": result.success, "message": result.message})
+    console.say(f"{'done' if result.success else 'ended'}: {result.message}")
+    if result.hash:
+        console.say(f"written to {written}: sha256 {result.hash[:12]}")
+    if hidden is not None:
+        console.say(f"hidden effects: {', '.join(hidden) or 'none'}")
 
 
 def _box(text: str) -> list[float]:

@@ -134,6 +134,14 @@ class Recheck:
         return float(SCALES[np.argmax(self.looks[-1].changed[~self._is_device].sum(axis=0))])
 
     @property
+    def progress(self) -> str:
+        """How far the decision is, in a few words."""
+        words = f"that something has changed: {1 - self.outcomes[UNCHANGED]:.1%}"
+        if self.verdict == UNDECIDED:
+            words += f", least excluded: {self.looks[-1].rival[0]}"
+        return words
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What has changed, and what to do."""
         if self.verdict == UNCHANGED:
@@ -144,22 +152,20 @@ class Recheck:
                 "robot: put it back, or add the sensor device_frame to the model, so that a fit "
                 "places it",
             )
-        drifted, moved, _ = self.outcomes.values()
         if self.verdict == UNDECIDED:
             return (
                 "the samples do not decide whether the robot has drifted since the last "
-                f"calibration (that something has changed: {drifted + moved:.0%}; least excluded: "
-                f"{self.looks[-1].rival[0]}): measure more of the planned poses, and fit them "
+                f"calibration ({self.progress}): measure more of the planned poses, and fit them "
                 "together with these",
             )
         name, share = next((k, v) for k, v in self.parts.items() if k != DEVICE)
         size = f"about {self.scale:.2g} times as far as usual (likeliest: {name}, {share:.0%})"
         words = f"since the last calibration the robot drifted {size}"
         if self.verdict == CHANGED:
+            moved = f"the measuring device moved ({self.outcomes[DEVICE_MOVED]:.0%})"
             words = (
-                f"either the robot drifted since the last calibration, {size}, or the measuring "
-                f"device moved ({moved:.0%}): check where the device stands, or measure more of "
-                "the planned poses"
+                f"either the robot drifted since the last calibration, {size}, or {moved}: check "
+                "where the device stands, or measure more of the planned poses"
             )
         elif self.scale >= MIN_UNUSUAL_SCALE:
             words += (

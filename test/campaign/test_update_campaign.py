@@ -2,11 +2,10 @@
 
 import json
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
-from campaign_cells import SimulatedCell, model_of
+from campaign_cells import SimulatedCell, calibrated, model_of
 
 import parallel_cal as pc
 from parallel_cal.base.errors import FitError
@@ -14,11 +13,7 @@ from parallel_cal.campaign.campaign import Campaign
 from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.journal import FILE, CampaignError, find_unfinished
-from parallel_cal.campaign.path_guard import Guard
-from parallel_cal.campaign.targets import first_targets
-from parallel_cal.campaign.trajectory import plan_trajectory
 from parallel_cal.model.file.modelfile import dump_model, parse_model
-from parallel_cal.recordings.joining import join_datasets
 
 SEED = 3
 GOAL = Goal(poses=24, update=True)
@@ -35,30 +30,10 @@ class DriftedCell(SimulatedCell):
         return replace(sample, dataset=replace(d, q=d.q + self.zeros, r=d.r + self.shift))
 
 
-def visit(cell, model, targets):
-    """Samples of a cell at targets."""
-    guard, samples = Guard.of(model), []
-    for target in targets:
-        path = guard.plan_path(cell.joints(), [np.array(target.joints)])
-        cell.move(plan_trajectory(path, model.mechanism), lambda: None)
-        samples.append(cell.sample(lambda: None).dataset)
-    return join_datasets(samples, [1] * len(samples))
-
-
-@cache
-def calibrated():
-    """The text of the model of a calibrated Delta."""
-    model = model_of("delta")
-    cell = SimulatedCell(seed=SEED)
-    data = visit(cell, model, first_targets(Guard.of(model), 50))
-    result = pc.fit(model, data, hold_out=0.0)
-    return dump_model(replace(result.model, history=(result.history_entry(),)))
-
-
 def run(folder, zeros=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0), goal=GOAL, **more):
     cell = DriftedCell(seed=SEED)
     cell.zeros, cell.shift = zeros, shift
-    campaign = Campaign(folder, calibrated(), goal, cell, **more)
+    campaign = Campaign(folder, calibrated(SEED), goal, cell, **more)
     outcome = campaign.run()
     campaign.close()
     return outcome
@@ -79,7 +54,7 @@ def test_a_zero_that_jumped_updates_the_model(tmp_path):
     assert (outcome.success, outcome.verdict) == (True, "drifted")
     assert next(iter(outcome.document["drift"]["parts"])) == "zero of joint2"
     assert outcome.samples < 20
-    before, after = parse_model(calibrated()), parse_model(outcome.text)
+    before, after = parse_model(calibrated(SEED)), parse_model(outcome.text)
     q = np.array(before.mechanism.home.joints)[None]
     truth = pc.Kinematics(before).direct(q - [0.0, 3e-3, 0.0]).position
     errors = [np.linalg.norm(pc.Kinematics(m).direct(q).position - truth) for m in (before, after)]
@@ -109,19 +84,19 @@ def test_an_update_goes_on_where_it_stopped_and_not_as_another_campaign(tmp_path
             return super().sample(go_on)
 
     folder = tmp_path / "a"
-    first = Campaign(folder, calibrated(), GOAL, Watched(seed=SEED), control=control)
+    first = Campaign(folder, calibrated(SEED), GOAL, Watched(seed=SEED), control=control)
     stopped = first.run()
     first.close()
     assert not stopped.ended
-    assert find_unfinished(tmp_path, calibrated(), update=True) == folder
-    assert find_unfinished(tmp_path, calibrated()) is None
+    assert find_unfinished(tmp_path, calibrated(SEED), update=True) == folder
+    assert find_unfinished(tmp_path, calibrated(SEED)) is None
     with pytest.raises(CampaignError, match="only one of both is an update"):
-        Campaign(folder, calibrated(), Goal(), DriftedCell(seed=SEED))
+        Campaign(folder, calibrated(SEED), Goal(), DriftedCell(seed=SEED))
     outcome = run(folder)
     assert outcome.verdict == "unchanged"
     lines = [json.loads(line) for line in (folder / FILE).read_text().splitlines()]
     assert sum("sample" in line for line in lines) == outcome.samples
-    assert find_unfinished(tmp_path, calibrated(), update=True) is None
+    assert find_unfinished(tmp_path, calibrated(SEED), update=True) is None
 
 
 def test_an_update_needs_a_calibration_and_a_certainty(tmp_path):

@@ -18,6 +18,7 @@ from parallel_cal.identification.drift_test import (
     probabilities,
     read_calibration,
 )
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.recheck import recheck
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -153,3 +154,19 @@ def test_a_drift_needs_a_calibration_a_noise_and_a_certainty():
         )
     with pytest.raises(FitError, match=r"certainty 0\.3: expected a probability above 0\.5"):
         recheck(calibrated(), today, certainty=0.3)
+
+
+def test_a_session_updates_the_last_calibration_and_counts_its_samples_once(tmp_path):
+    session_of = pc.Session.new(tmp_path, calibrated(), [], fitting=FitOptions(update=True))
+    today = session(8, np.random.default_rng(10), (0.0, 2e-3, 0.0))
+    session_of.take(today.to_json)
+    first = session_of.fit()
+    assert "likeliest: zero of joint2" in first.drift
+    sigma = session_of.model.covariance.copy()
+    assert session_of.fit().drift == first.drift
+    assert session_of.model.covariance == pytest.approx(sigma)
+    rows = session_of.plan(6).read_text().splitlines()
+    # The order is that of an update of the last calibration, not of the samples of today.
+    noise = Noise(**session_of.state.weights)
+    same = pc.plan(replace(calibrated(), noise=noise), 6, update=True)
+    assert rows[-6:] == same.csv().splitlines()[-6:]
