@@ -75,7 +75,11 @@ def conclude(folder: Path, dataset: Dataset, found: Recheck) -> Conclusion:
     session = Session(folder)
     session.take(dataset.to_json)
     if found.verdict == CHANGED:
-        return Conclusion("", "nothing was written, because the robot may be as it was")
+        return Conclusion(
+            "",
+            "nothing was written, because the robot may be as it was; if the device stands, update "
+            f"the model with 'parallel-cal session fit {folder}'",
+        )
     try:
         state = session.fit()
     except FitError as error:

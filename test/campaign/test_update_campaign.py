@@ -13,7 +13,11 @@ from parallel_cal.campaign.campaign import Campaign
 from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.journal import FILE, CampaignError, find_unfinished
+from parallel_cal.campaign.updating import conclude, needs_more
+from parallel_cal.identification.drift_test import DEVICE
+from parallel_cal.identification.recheck import Look, Recheck
 from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.recordings.joining import join_datasets
 
 SEED = 3
 GOAL = Goal(poses=24, update=True)
@@ -64,6 +68,23 @@ def test_a_zero_that_jumped_updates_the_model(tmp_path):
 def test_a_tracker_that_was_moved_changes_no_model(tmp_path):
     outcome = run(tmp_path, shift=(0.4e-3, 0.4e-3, -0.4e-3))
     assert (outcome.success, outcome.verdict, outcome.text) == (True, "device_moved", "")
+
+
+def test_a_change_of_robot_or_device_writes_no_model(tmp_path):
+    samples = np.arange(3)
+    names, kinds = ("zero of joint1", DEVICE), ("zero", DEVICE)
+    looks = [Look(k + 1, 1e-6, np.full((2, 5), 0.1), ("zero of joint1", 9.0)) for k in samples]
+    found = Recheck(tuple(looks), names, kinds)
+    assert (found.verdict, found.decision, needs_more(found)) == ("changed", (3, "changed"), True)
+    assert "or the measuring device moved (50%)" in found.warnings[0]
+    cell = DriftedCell(seed=SEED)
+    campaign = Campaign(tmp_path, calibrated(SEED), GOAL, cell)
+    data = join_datasets([cell.sample(lambda: None).dataset for _ in samples], [1, 2, 3])
+    ended = conclude(campaign.folder, data, found)
+    campaign.close()
+    assert ended.text == ""
+    assert f"parallel-cal session fit {tmp_path}" in ended.words
+    assert len(pc.Session(tmp_path).samples) == 3
 
 
 def test_a_limit_ends_an_update_that_is_not_decided(tmp_path):
