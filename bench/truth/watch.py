@@ -34,6 +34,7 @@ FIXED_FRAME = {
     "belts": ("line4.A_?", "line3.A_y"),
     "hexapod": ("leg1.?_?", "leg3.?_y", "leg3.?_z", "leg5.?_z"),
     "five-bar": (),
+    "Delta": (),
 }
 
 
@@ -183,7 +184,89 @@ class FiveBar:
         return {"q": angles - self.zero, "tip": tip, **elbows}
 
 
-ROBOTS = (Belts, Hexapod, FiveBar)
+class Delta:
+    """Three arms hinged on a base carry a platform that cannot turn by a rod each; an encoder reads
+    how each rod turns against its arm, in the plane of the arm."""
+
+    name, sigma, samples = "Delta", 2e-5, 20
+    parts = ("joint1", "joint2", "joint3")
+    warm_parts = ("elbow1",)  # the elbow is at the end of the arm
+    elbow_sigma, sight = 5e-5, 2e-5  # rad, m
+    azimuths = np.radians([0.0, 120.0, 240.0])
+    base, length, rod_length = 0.1, 0.12, 0.24  # m, as drawn
+    middle, reach = np.array([0.0, 0.0, -0.2]), np.array([0.06, 0.06, 0.04])
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng([seed, 4])
+        self.hinges = self.hinges_at(self.base) + rng.normal(0, 2e-4, (3, 3))
+        self.arm, self.rod = self.length + rng.normal(0, 2e-4, 3), 0.24 + rng.normal(0, 2e-4, 3)
+        self.zero, self.elbow_zero = rng.normal(0, 3e-3, 3), rng.normal(0, 3e-3, 3)
+
+    @classmethod
+    def hinges_at(cls, radius: float) -> np.ndarray:
+        c, s = np.cos(cls.azimuths), np.sin(cls.azimuths)
+        return radius * np.column_stack([c, s, 0 * c])
+
+    @classmethod
+    def angles(
+        cls, hinges: np.ndarray, arm: np.ndarray, rod: np.ndarray, tip: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The angles (n, 3) of the arms below the base, and those of their rods in the plane of the
+        arm and across it, for a platform at `tip` (n, 3): circles of the elbows cut spheres."""
+        c, s = np.cos(cls.azimuths), np.sin(cls.azimuths)
+        away = tip[:, None] - hinges
+        out, across, down = away[..., 0] * c + away[..., 1] * s, away[..., 1] * c, -away[..., 2]
+        across = across - away[..., 0] * s
+        # |away - arm| = rod: out cos(q) + down sin(q) = (out^2 + down^2 + arm^2 - rod'^2) / (2 arm)
+        flat = rod**2 - across**2
+        k = (out**2 + down**2 + arm**2 - flat) / (2 * arm)
+        far = np.hypot(out, down)
+        q = np.arctan2(down, out) - np.arccos(k / far)  # elbows outside
+        x, z = out - arm * np.cos(q), down - arm * np.sin(q)
+        turned = np.angle(np.exp(1j * (np.arctan2(z, x) - q)))
+        return q, turned, np.arcsin(across / rod)
+
+    def model(self) -> pc.Model:
+        q, turned, tilted = self.angles(
+            self.hinges_at(self.base), np.full(3, self.length), np.full(3, self.rod_length),
+            self.middle[None],
+        )  # fmt: skip
+        joints, end = [], {"point": [self.rod_length, 0, 0]}
+        for k, hinge in enumerate(self.hinges_at(self.base)):
+            half = self.azimuths[k] / 2
+            joints += [
+                {"name": f"joint{k + 1}", "type": "revolute", "parent": "frame", "driven": True}
+                | {"child": f"arm{k + 1}", "origin": hinge.tolist(), "axis": [0, 1, 0]}
+                | {"quaternion": [0, 0, float(np.sin(half)), float(np.cos(half))]}
+                | {"home": float(q[0, k]), "limits": [float(q[0, k]) - 1.2, float(q[0, k]) + 1.2]},
+                # A universal joint of two hinges, so that its angles are coordinates.
+                {"name": f"elbow{k + 1}", "type": "revolute", "parent": f"arm{k + 1}"}
+                | {"child": f"fork{k + 1}", "origin": [self.length, 0, 0], "axis": [0, 1, 0]}
+                | {"home": float(turned[0, k])},
+                {"name": f"swing{k + 1}", "type": "revolute", "parent": f"fork{k + 1}"}
+                | {"child": f"rod{k + 1}", "axis": [0, 0, 1], "home": float(tilted[0, k])},
+            ]
+        loops = [
+            {"name": f"tip{k}", "type": "point"}
+            | {"a": {"body": "rod1", **end}, "b": {"body": f"rod{k}", **end}}
+            for k in (2, 3)
+        ]
+        shape = {"base": "frame", "platform": "rod1", "target": end["point"], "loops": loops}
+        shape |= {"moves": ["x", "y", "z"], "joints": joints}
+        elbows = tuple(f"elbow{k}" for k in (1, 2, 3))
+        encoders = pc.sensors.load("passive_encoder", joints=elbows, sigma=self.elbow_sigma)
+        return pc.new_model(pc.mechanisms.load("chain", **shape), sensors=[encoders])
+
+    def readings(self, rng: np.random.Generator, n: int, fault: Fault) -> dict[str, np.ndarray]:
+        tip = self.middle + rng.uniform(-1, 1, (n, 3)) * self.reach
+        arm = self.arm * [1 + EXPANSION * fault.warmth, 1, 1]
+        q, turned, _ = self.angles(self.hinges, arm, self.rod, tip)
+        turned = turned - self.elbow_zero + rng.normal(0, self.elbow_sigma, turned.shape)
+        elbows = {f"reading.elbow{k + 1}": turned[:, k] for k in range(3)}
+        return {"q": q - self.zero, "tip": tip, **elbows}
+
+
+ROBOTS = (Belts, Hexapod, FiveBar, Delta)
 
 
 def record(robot, rng, n, time, fault=None, measured=False) -> pc.Dataset:
@@ -196,7 +279,8 @@ def record(robot, rng, n, time, fault=None, measured=False) -> pc.Dataset:
     tip, r = seen.pop("tip", None), np.zeros((n, 3))
     shown = np.zeros((n, 6), bool)
     if measured and tip is not None:
-        r[:, :2], shown[:, :2] = tip + rng.normal(0, robot.sight, tip.shape), True
+        axes = slice(0, tip.shape[1])
+        r[:, axes], shown[:, axes] = tip + rng.normal(0, robot.sight, tip.shape), True
     conditions = seen | {"time": time + 10.0 * np.arange(n)}
     if fault.recorded:
         conditions["temperature"] = np.full(n, 20.0 + fault.warmth)

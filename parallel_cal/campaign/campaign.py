@@ -18,6 +18,7 @@ import numpy as np
 
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.campaign import updating
 from parallel_cal.campaign.cell import (
     AbortRequested,
     Cell,
@@ -49,11 +50,8 @@ from parallel_cal.campaign.targets import ADJUSTABLE_CONDITIONS, Target, first_t
 from parallel_cal.campaign.trajectory import plan_trajectory
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.file.modelfile import (
-    model_hash,
-    parse_model,
-    replace_text,
-)
+from parallel_cal.identification.recheck import Recheck
+from parallel_cal.model.file.modelfile import model_hash, parse_model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
@@ -64,7 +62,6 @@ log = logging.getLogger(__name__)
 
 BATCH = 8  # poses between two judgements
 MAX_UNSEEN_IN_A_ROW = 6  # targets; a camera that is covered sees none of them
-
 
 Tell = Callable[[Status], None]
 Work = Callable[..., Any]  # a function and its arguments -> its result
@@ -118,11 +115,14 @@ class Campaign:
         self._journal = Journal(self.folder, model)
         self._unseen = 0  # targets in a row at which the device saw too little
         self._status = Status("planning", "", 0, np.nan, "")
+        self._drift: Recheck | None = None  # what an update knows so far
         self._continue_with(model)
         last = next(reversed(self.samples), None)
         self._sent = None if last is None else np.array(self.targets[last].joints)
         if not (self.folder / SESSION).exists():
-            fitting = FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma)
+            fitting = FitOptions(
+                hold_out=goal.hold_out, joint_sigma=goal.joint_sigma, update=goal.update
+            )
             Session.new(self.folder, parse_model(model), [], fitting=fitting)
         self._use_model_of(self.judgements[-1] if self.judgements else None)
 
@@ -136,11 +136,13 @@ class Campaign:
             journal.left_out,
         )
         self.warnings = journal.warnings
-        if not is_same_but_for_limits(before, model):
+        other = "" if is_same_but_for_limits(before, model) else "of another model"
+        if self.targets and journal.is_update != self.goal.update:
+            other = "with another goal (only one of both is an update)"
+        if other:
             journal.close()
             raise CampaignError(
-                f"{self.folder}: this folder holds the campaign of another model; "
-                "choose another folder"
+                f"{self.folder}: this folder holds the campaign {other}; choose another folder"
             )
         if self.targets and model_hash(before) != model_hash(model):
             journal.write(model=model)
@@ -226,7 +228,11 @@ class Campaign:
             self._report_status("planning", "selecting the first poses")
             for name in self.goal.effects:
                 load_effect(name)  # reject unknown effects before the robot moves
-            self._add_targets(first_targets(self._guard, self.goal.poses, self.goal.seed))
+            self._add_targets(
+                updating.plan_targets(self._guard, self.model, self.goal)
+                if self.goal.update
+                else first_targets(self._guard, self.goal.poses, self.goal.seed)
+            )
         due = [
             k for k in range(len(self.targets)) if k not in self.samples and k not in self.left_out
         ]
@@ -235,6 +241,10 @@ class Campaign:
             over = f"{len(self.samples)} poses were measured, the maximum that was allowed"
         elif self.spent > 60 * self.goal.minutes:
             over = f"the time limit of {self.goal.minutes:g} minutes was reached"
+        if self.goal.update and self.samples:
+            done = over or ("" if due else "all planned poses were measured")
+            if (outcome := self._recheck(done)) is not None:
+                return outcome
         if due and not over:
             self._measure(due[0])
             return None
@@ -255,7 +265,7 @@ class Campaign:
             reason,
             len(self.samples),
             last.validation_error if last else np.nan,
-            last.verdict if last else "",
+            self._drift.verdict if self._drift else last.verdict if last else "",
             purpose,
             questions,
             self.curve,
@@ -413,6 +423,15 @@ class Campaign:
             return self._outcome(False, f"{over}: {last.summary}{wanted and f'; {wanted}'}")
         return None
 
+    def _recheck(self, over: str) -> Outcome | None:
+        """Decide whether the robot has drifted; return an outcome if that was the last pose."""
+        found: Recheck = self._work(updating.judge, self.model, self.dataset, self.goal)
+        self._drift, words = found, found.warnings[0]
+        self._report_status("judging", f"{len(self.samples)} samples; {found.progress}")
+        if over:
+            return self._outcome(found.is_decided, f"{over}: {words}")
+        return None if updating.needs_more(found) else self._outcome(True, words)
+
     def _count_unjudged(self) -> int:
         """Count the samples since the last judgement."""
         return len(self.samples) - (self.judgements[-1].samples if self.judgements else 0)
@@ -437,27 +456,25 @@ class Campaign:
             self._sent = home
 
     def _outcome(self, success: bool, message: str) -> Outcome:
-        judgement = self.judgements[-1]
         curve = [(one.poses, one.error) for one in self.curve.points]
+        drift = self._drift
+        judged = updating.document(drift) if drift else self.judgements[-1].reported
         document = {
             "success": success,
             "message": message,
-            "verdict": judgement.verdict,
-            "effects": judgement.effects,
-            "laws": judgement.laws,
+            **judged,
             "poses": len(self.samples),
             "minutes": self.spent / 60,
             "curve": [{"poses": n, "error_unseen": error} for n, error in curve],
             "left_out": list(self.left_out.values()),
             "warnings": self.warnings,
             "folder": str(self.folder),
-            "diagnosis": judgement.diagnosis,
         }
         return Outcome(
             success,
             message,
             to_json_value(document),
-            verdict=judgement.verdict,
+            verdict=judged["verdict"],
             samples=len(self.samples),
             curve=tuple(curve),
         )
@@ -465,7 +482,11 @@ class Campaign:
     def _end(self, outcome: Outcome) -> Outcome:
         """Add the final model to the outcome if it is proven better, and write the last line."""
         self._report_status("judging", "preparing the final model")
-        found: Conclusion = self._work(conclude, self.folder, self.judgements)
+        found: Conclusion = (
+            self._work(updating.conclude, self.folder, self.dataset, self._drift)
+            if self._drift is not None
+            else self._work(conclude, self.folder, self.judgements)
+        )
         text = found.text and with_limits_of(found.text, self.model)
         outcome = replace(outcome, text=text, message=f"{outcome.message} ({found.words})")
         self._journal.write(end=outcome.message, success=outcome.success)
@@ -474,14 +495,6 @@ class Campaign:
 
     def _make_stopped_outcome(self, why: str) -> Outcome:
         self._report_status("stopped", why)
-        if not self.judgements:
+        if not (self.judgements or self._drift):
             return Outcome(False, why, ended=False, samples=len(self.samples))
         return replace(self._outcome(False, why), ended=False)
-
-
-def write_improved_model(outcome: Outcome, path: str) -> Outcome:
-    """Write the proven model to a file and keep the previous file as a backup."""
-    if not outcome.text:
-        return outcome
-    replace_text(path, outcome.text)
-    return replace(outcome, path=path, hash=model_hash(outcome.text))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from parallel_cal.identification.recheck import CERTAINTY, check_certainty
 from parallel_cal.model.mechanism import Box
 
 
@@ -37,6 +38,16 @@ class Goal:
         Standard deviation of joint readings, rad or m. Default: as the model file states.
     seed : int
         Seed of the candidate poses. Default 0.
+    update : bool
+        Only decide whether the robot has drifted since the calibration of its model, with as few
+        poses as that takes, and update the model if it has. Default False.
+    certainty : float
+        Of this decision: the probability at which the campaign ends. Default 0.95.
+
+    Raises
+    ------
+    FitError
+        If the certainty is not above 0.5 and below 1.
 
     Examples
     --------
@@ -56,3 +67,8 @@ class Goal:
     hold_out: float = 0.25
     joint_sigma: float | None = None
     seed: int = 0
+    update: bool = False
+    certainty: float = CERTAINTY
+
+    def __post_init__(self) -> None:
+        check_certainty(self.certainty)

@@ -36,6 +36,7 @@ class Journal:
 
     def __init__(self, folder: Path, model: str):
         self.path, self.model = folder / FILE, model
+        self.is_update = False  # whether the campaign only updates a calibration
         self.targets: list[Target] = []
         self.samples: dict[int, Sample] = {}
         self.left_out: dict[int, str] = {}
@@ -79,6 +80,8 @@ class Journal:
         """Restore what a line states."""
         self._before = entry.get("spent", self._before)
         self.model = entry.get("model", self.model)
+        if "begin" in entry:
+            self.is_update = bool(entry["begin"].get("update"))
         self.targets += map(Target.from_document, entry.get("targets", ()))
         if "sample" in entry:
             dataset = Dataset.from_document(entry["sample"], FILE)
@@ -110,14 +113,17 @@ class Journal:
         self._ignored_targets += range(first, len(self.targets))
 
 
-def find_unfinished(folder: Path, model: str) -> Path | None:
+def find_unfinished(folder: Path, model: str, update: bool = False) -> Path | None:
     """Return the newest unfinished campaign of a folder that started with this model, or with one
-    that has other limits of the motion."""
+    that has other limits of the motion; only those that `update` a calibration, or only others."""
     for file in sorted(folder.glob(f"*/{FILE}"), reverse=True):
         # An iterator: a campaign of another model is read no further than its model.
         entries = json_lines(file, MAX_JOURNAL_BYTES)
-        began = next((e["model"] for e in entries if "model" in e), "")
-        if is_same_but_for_limits(began, model) and not any("end" in e for e in entries):
+        first: Mapping[str, Any] = next((e for e in entries if "model" in e), {})
+        is_wanted = bool(first.get("begin", {}).get("update")) == update
+        if not (is_wanted and is_same_but_for_limits(first.get("model", ""), model)):
+            continue
+        if not any("end" in e for e in entries):
             return file.parent
     return None
 

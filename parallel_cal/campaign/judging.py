@@ -93,6 +93,12 @@ class Judgement:
         """rms error at the validation poses, m (rad if no position is measured)."""
         return select_primary_error(self.unseen)
 
+    @property
+    def reported(self) -> dict[str, Any]:
+        """The keys of a campaign's document that it states."""
+        keys = ("verdict", "effects", "laws", "diagnosis")
+        return {key: getattr(self, key) for key in keys}
+
     def is_final(self, before: Judgement | None) -> bool:
         """Whether further poses are pointless.
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from parallel_cal.campaign.cell import Question
+from parallel_cal.model.file.modelfile import model_hash, replace_text
 from parallel_cal.session import goals
 
 
@@ -78,3 +79,11 @@ class Outcome(goals.Outcome):
     ended: bool = True
     samples: int = 0
     curve: tuple[tuple[int, float], ...] = ()
+
+
+def write_improved_model(outcome: Outcome, path: str) -> Outcome:
+    """Write the proven model to a file and keep the previous file as a backup."""
+    if not outcome.text:
+        return outcome
+    replace_text(path, outcome.text)
+    return replace(outcome, path=path, hash=model_hash(outcome.text))

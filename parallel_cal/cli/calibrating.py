@@ -17,7 +17,10 @@ from parallel_cal.cli.arguments import Json
 from parallel_cal.reporting import console
 
 Robot = Annotated[Path, typer.Argument(help="model file (YAML) of the robot")]
-MaxPoses = Annotated[int, typer.Option(min=1, help="largest number of samples")]
+MaxPoses = Annotated[
+    int | None,
+    typer.Option(min=1, help="largest number of samples [default: 80; with --update 24]"),
+]
 MaxMinutes = Annotated[float, typer.Option(min=0.1, help="maximum duration")]
 Enough = Annotated[
     float,
@@ -52,6 +55,23 @@ Afresh = Annotated[
     bool,
     typer.Option("--afresh", help="start again instead of resuming an unfinished campaign"),
 ]
+Update = Annotated[
+    bool,
+    typer.Option(
+        "--update",
+        help="only decide whether the robot has drifted since its last calibration, in as few "
+        "samples as that takes, and update the model if it has",
+    ),
+]
+Certainty = Annotated[
+    float,
+    typer.Option(
+        min=0.5,
+        max=1,
+        help="with --update: probability at which it is decided; 0.99 gives at most 1 % false "
+        "alarms",
+    ),
+]
 Output = Annotated[
     Path | None,
     typer.Option("-o", "--output", help="file for the better model [default: MODEL]"),
@@ -73,7 +93,7 @@ WithCamera = Annotated[
 
 def calibrate(
     model: Robot,
-    poses: MaxPoses = 80,
+    poses: MaxPoses = None,
     minutes: MaxMinutes = 60.0,
     enough: Enough = 0.0,
     effects: TestedEffects = None,
@@ -82,6 +102,8 @@ def calibrate(
     warmer: Warmer = 0.0,
     reach: Reach = 1.0,
     afresh: Afresh = False,
+    update: Update = False,
+    certainty: Certainty = 0.95,
     output: Output = None,
     namespace: Namespace = "",
     simulated: Simulated = "",
@@ -89,7 +111,8 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Let the robot calibrate itself. The campaign ends when the diagnosis no longer changes.
-    Ctrl-C stops the robot; run the same command again to resume."""
+    With --update it ends as soon as it is decided whether the robot has drifted. Ctrl-C stops the
+    robot; run the same command again to resume."""
     try:
         from parallel_cal.nodes.calibrate import Calibration
     except ImportError as error:
@@ -112,7 +135,7 @@ def calibrate(
         result = calibration.run(
             hear,
             minutes,
-            poses=poses,
+            poses=poses or 0,
             enough=enough,
             effects=effects or [],
             keep_out=boxes,
@@ -120,19 +143,26 @@ def calibrate(
             warmer=warmer,
             reach=reach,
             afresh=afresh,
+            update=update,
+            certainty=certainty,
             output_file=str(output.resolve()) if output else "",
         )
-    document: dict[str, Any] = json.loads(result.json) if result.json else {}
-    if as_json:
-        console.emit(document | {"success": result.success, "message": result.message})
-    else:
-        console.say(f"{'done' if result.success else 'ended'}: {result.message}")
-        if result.hash:
-            console.say(f"written to {output or model}: sha256 {result.hash[:12]}")
-        if cell and not terminal.is_interrupted():
-            console.say(f"hidden effects: {', '.join(calibration.hidden) or 'none'}")
+    shown = cell is not None and not terminal.is_interrupted()
+    _print_result(result, output or model, calibration.hidden if shown else None, as_json)
     if not result.success:
         raise typer.Exit(1)
+
+
+def _print_result(result: Any, written: Path, hidden: list[str] | None, as_json: bool) -> None:
+    """Print how a campaign ended, and the effects that a simulated robot has."""
+    if as_json:
+        document: dict[str, Any] = json.loads(result.json) if result.json else {}
+        return console.emit(document | {"success": result.success, "message": result.message})
+    console.say(f"{'done' if result.success else 'ended'}: {result.message}")
+    if result.hash:
+        console.say(f"written to {written}: sha256 {result.hash[:12]}")
+    if hidden is not None:
+        console.say(f"hidden effects: {', '.join(hidden) or 'none'}")
 
 
 def _box(text: str) -> list[float]:

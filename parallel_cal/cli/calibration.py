@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shlex
 import sys
@@ -189,8 +188,9 @@ def _write_refit(step: Step, run: _Run, wrong: Sequence[int]) -> tuple[str, bool
 def _say_what_follows(step: Step, model: Path) -> str:
     """Say what to do after a command without -o."""
     drift = step.result.drift
-    if drift is not None and not (drift.is_shown or math.isnan(drift.log_odds)):
-        more = "" if drift.is_decided else "measure more of the planned poses; until then, "
+    if drift is not None and not drift.is_shown:
+        decided = drift.verdict != "undecided"
+        more = "" if decided else "measure more of the planned poses; until then, "
         return f"{more}keep {model}"
     return "the same command with -o FILE, which writes the model"
 

@@ -65,13 +65,10 @@ def plan(
     sigmas = [one["sigma_tolerances"] for one in document["expected"]["parameters"].values()]
     relies = options.prior or (bool(own.structure.channels) and None in sigmas)
     how = " --update" if options.update else " --prior" if relies else ""
-    first = found.update.enough if found.update is not None else None
-    which = "these poses" if first is None else f"the first {first} of these poses"
-    more = "" if first is None else "; measure the others only if it says that more are needed"
-    fit = (
-        f"measure {which}, then parallel-cal fit {shlex.quote(str(model))} RECORDING{how} "
-        f"-o FILE{more}"
-    )
+    fit = f"measure these poses, then parallel-cal fit {shlex.quote(str(model))} RECORDING{how}"
+    fit += " -o FILE"
+    if options.update:
+        fit += "; fit after every few poses, and stop as soon as it says that it is decided"
     following = fit if output else "the same command with -o FILE, which writes the poses"
     console.show([plans.summarize_plan(found, document, following)])
 

@@ -98,7 +98,13 @@ def summarize_plan(found: Plan, document: dict[str, Any], following: str) -> Tab
             words = f"{len(found)} poses show no usual drift at 3 sigma: plan more"
         elif rest:
             words += f", except {', '.join(rest)}, which {len(found)} poses do not show"
-        update = [Line("update:", words, FOUND)]
+        half, most = found.update.unchanged
+        still = f"if nothing has changed, {half} poses decide it in half of the cases"
+        if half is None:
+            still = f"if nothing has changed, {len(found)} poses seldom decide it: plan more"
+        elif most is not None:
+            still += f", {most} in 90 %"
+        update = [Line("update:", words, FOUND), Line("", still, FOUND)]
     return summary_table(
         [
             *update,

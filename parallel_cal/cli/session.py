@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from parallel_cal.cli.arguments import (
+    FIT,
     AddedEffects,
     Bags,
     Data,
     EffectName,
     EffectsInModel,
-    FittingByMethod,
     Fix,
     Free,
     Json,
@@ -30,6 +30,7 @@ from parallel_cal.cli.reporting import (
     ReportFile,
     write_report,
 )
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ def _print_state(session: Session, state: State, as_json: bool) -> None:
     if as_json:
         return console.emit(session.document())
     console.say(_line(state))
+    if state.drift:
+        console.say(f"  {state.drift}")
 
 
 def _check_reason(reason: str, force: bool) -> None:
@@ -90,7 +93,7 @@ def new(
     model: ModelFile,
     bags: Bags,
     *,
-    options: FittingByMethod,
+    options: Annotated[FitOptions, ("method", *FIT, "update")],
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -116,6 +119,8 @@ def show(folder: Folder, as_json: Json = False) -> None:
         return console.emit(session.document())
     for state in session.history():
         console.say(_line(state))
+        if state.drift:
+            console.say(f"  {state.drift}")
         if state.verdict:
             console.say(f"  {state.verdict_text}")
         if state.reason:

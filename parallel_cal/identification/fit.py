@@ -69,6 +69,7 @@ from parallel_cal.identification.prediction_errors import (
     improvement,
 )
 from parallel_cal.identification.predictions import predict_positions
+from parallel_cal.identification.recheck import Recheck, drift_prior, recheck
 from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.identification.registration import (
     DevicePoses,
@@ -84,7 +85,7 @@ from parallel_cal.identification.registration import (
 from parallel_cal.identification.set_up import place_set_up
 from parallel_cal.identification.thresholds import ENOUGH_SAMPLES
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
-from parallel_cal.identification.update import DRIFT_SCALES, Drift, log_evidence, update_prior
+from parallel_cal.identification.update import update_prior
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset
@@ -129,8 +130,9 @@ class FitResult(ShownInNotebook):
     base_motion : BaseMotion, optional
         How far the identified geometry moves the base {B} and the platform {P} as a whole against
         those of the nominal robot; None without a registration.
-    drift : Drift, optional
-        Of an update: how far the robot has drifted since its last calibration.
+    drift : Recheck, optional
+        Of an update: whether the robot has drifted since its last calibration, and which part; None
+        if nobody stated the noise.
     unusual : dict of str to UnusualSize
         Parameters of effects that are larger than usual for the machine's class, by name.
     implausible : str
@@ -154,7 +156,7 @@ class FitResult(ShownInNotebook):
     registration: Registration | None = None
     base_motion: BaseMotion | None = None
     unusual: Mapping[str, UnusualSize] = field(default_factory=dict)
-    drift: Drift | None = None
+    drift: Recheck | None = None
     implausible: str = ""
     outliers: Outliers | None = None
 
@@ -463,6 +465,7 @@ class FitResult(ShownInNotebook):
             "base_motion": to_json_value(self.base_motion),
             "unusual": to_json_value(list(self.unusual.values())),
             "implausible": self.implausible,
+            "drift": None if self.drift is None else to_json_value(self.drift.document()),
             "warnings": list(self.warnings),
         }
 
@@ -540,8 +543,9 @@ def fit(
     dataset = add_registration_warning(dataset, registration)
     drift = None
     if options.update:
-        drift, options = weigh_drift(start, dataset, options, given)
-        dataset = replace(dataset, warnings=(*dataset.warnings, *drift.warnings))
+        drift, options = weigh_drift(start, dataset, options)
+        words = () if drift is None else drift.warnings
+        dataset = replace(dataset, warnings=(*dataset.warnings, *words))
     unjudged = fit_unjudged(start, dataset, options, progress, given)
     result = replace(unjudged.judge(progress), drift=drift)
     # An outlier may hide where the geometry follows it.
@@ -558,24 +562,15 @@ def fit(
 
 
 def weigh_drift(
-    start: Model, dataset: Dataset, options: FitOptions, given: GivenModel
-) -> tuple[Drift, FitOptions]:
-    """Return by how much the robot drifted, in usual drifts, and the options with the prior that
-    follows. The data decide: the drift with the largest evidence."""
-    free, _ = chosen_parameters(start, options)
-    found = []
-    for scale in DRIFT_SCALES:
-        prior = update_prior(start, scale)
-        how = replace(options, prior=prior, update=False, hold_out=0.0, insist=True)
-        result = fit_unjudged(start, dataset, how, given=given).result
-        estimate = result.estimate
-        if result.observations.noise_assumed:  # chi2 has no size then
-            return Drift(1.0), replace(options, prior=update_prior(start))
-        found.append(
-            log_evidence(prior, start, free, estimate.values, estimate.chi2, estimate.covariance)
-        )
-    drift = Drift.of(found)
-    return drift, replace(options, prior=update_prior(start, drift.scale))
+    start: Model, dataset: Dataset, options: FitOptions
+) -> tuple[Recheck | None, FitOptions]:
+    """Return whether the robot drifted, and the options with the prior that follows: the data
+    decide how much each part may have drifted. If nobody stated the noise, the evidence has no
+    size, and the usual drift is the prior."""
+    if observe(start, dataset, options.joint_sigma, options.insist).noise_assumed:
+        return None, replace(options, prior=update_prior(start))
+    found = recheck(start, dataset, options.joint_sigma, options.insist)
+    return found, replace(options, prior=drift_prior(start, found))
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.drift_rate import PARTS, DriftRate
-from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.identification.prior import Prior
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
@@ -21,10 +19,6 @@ from parallel_cal.model.shelf import load_effect
 EXPANSION_PER_DEGC = 12e-6
 TEMPERATURE_SIGMA_DEGC = 5.0
 LOOSENING_SHARE = 0.1  # of a tolerance, for each parameter: a joint that settled, a rod that turned
-# Of the usual drift, among which the data decide; the first one is none.
-DRIFT_SCALES = (0.0, 1 / 3, 1.0, 3.0, 10.0, 30.0)
-MIN_UNUSUAL_SCALE = 3.0
-DECIDED = math.log(19)  # log odds at which 95 % say that there is a drift, or that there is none
 SHOWN_SIGMAS = 3.0  # a drift of one sigma that moves the touches by so much is shown
 PROBE_POSES = 40
 RIDGE = 1e-6  # of the largest singular value, columns in tolerances
@@ -128,69 +122,3 @@ def usual_drift(model: Model) -> np.ndarray:
     this robot or its fleet, if the history of the model states it."""
     sizes, parts = _read_sizes(model), list_drift_parts(model).items()
     return np.asarray(sum(sizes[part] ** 2 * rows.T @ rows for part, rows in parts))
-
-
-@dataclass(frozen=True)
-class Drift:
-    """How far a robot has drifted since its last calibration, in usual drifts, and the logarithm of
-    how much likelier any of the drifts is than none; NaN if the noise is not known."""
-
-    scale: float
-    log_odds: float = math.nan
-
-    @classmethod
-    def of(cls, evidences: Sequence[float]) -> Drift:
-        """The likeliest drift, by the log evidence of each of the `DRIFT_SCALES`."""
-        none, *some = evidences
-        together = float(np.logaddexp.reduce(some)) - math.log(len(some))
-        return cls(DRIFT_SCALES[1 + int(np.argmax(some))], together - none)
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether it is likelier that the robot has drifted than that it has not."""
-        return self.log_odds > 0
-
-    @property
-    def is_decided(self) -> bool:
-        """Whether it has 95 % that the robot has drifted, or that it has not."""
-        return abs(self.log_odds) >= DECIDED
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """How far the robot drifted, and what to check if it is further than usual."""
-        if math.isnan(self.log_odds):
-            return ()
-        if not self.is_decided:
-            probability = 100 / (1 + math.exp(-self.log_odds))
-            return (
-                "the samples do not decide whether the robot has drifted since the last "
-                f"calibration (that it has: {probability:.0f} %): measure more of the planned "
-                "poses, and fit them together with these",
-            )
-        if not self.is_shown:
-            return ("the samples show no drift since the last calibration",)
-        if self.scale < MIN_UNUSUAL_SCALE:
-            return (f"the samples show a drift of about {self.scale:.2g} times the usual one",)
-        return (
-            f"since the last calibration the robot moved about {self.scale:.3g} times as far as "
-            "usual (zeros, temperature, loose parts): check what happened to it; with so large a "
-            "drift, more samples or a complete calibration are worthwhile",
-        )
-
-
-def log_evidence(
-    prior: Prior,
-    model: Model,
-    free: np.ndarray,
-    values: np.ndarray,
-    chi2: float,
-    covariance: np.ndarray,
-) -> float:
-    """Return the log evidence of a linearised fit with a prior, up to a constant: half of
-    -chi2 - d^T P0^-1 d - log det P0 + log det P, d the distance of `values` from the prior, P0 and
-    P the covariances of the free parameters before and after."""
-    known = Knowledge.of(prior, model.table, free)
-    scale = np.outer(known.tolerance, known.tolerance)
-    before = np.linalg.slogdet(prior.covariance[np.ix_(free, free)] / scale)[1]
-    after = np.linalg.slogdet(covariance[np.ix_(free, free)] / scale)[1]
-    return float(-chi2 - known.cost(values) - before + after) / 2

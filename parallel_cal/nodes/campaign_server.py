@@ -20,11 +20,12 @@ from std_srvs.srv import Trigger
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.worker import WorkCancelled, Worker
-from parallel_cal.campaign.campaign import Campaign, write_improved_model
+from parallel_cal.campaign.campaign import Campaign
 from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.journal import find_unfinished
-from parallel_cal.campaign.status import Curve, Outcome, Status
+from parallel_cal.campaign.status import Curve, Outcome, Status, write_improved_model
+from parallel_cal.identification.recheck import CERTAINTY
 from parallel_cal.model.file.modelfile import model_text, parse_model
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model
@@ -38,7 +39,7 @@ from parallel_cal.nodes.robot_cell import RobotCell
 from parallel_cal.nodes.tally import diagnostics
 from parallel_cal.session import goals
 
-POSES, MINUTES = 80, 60.0  # if a goal gives none
+POSES, UPDATE_POSES, MINUTES = 80, 24, 60.0  # if a goal gives none
 LEVELS = {"stopped": b"\x02", "asking": b"\x01", "paused": b"\x01"}
 
 
@@ -139,7 +140,9 @@ class CampaignServer:
             self._access.inflow,
             self._publish_reason,
         )
-        unfinished = None if goal.afresh else find_unfinished(self._access.folder, text)
+        unfinished = (
+            None if goal.afresh else find_unfinished(self._access.folder, text, goal.update)
+        )
         folder = unfinished or self._access.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._control, self._cell = control, cell
 
@@ -251,7 +254,7 @@ def _read_goal(goal: Any, options: dict[str, Any]) -> Goal:
     # The two corners of each box come in any order.
     corners = np.sort(np.reshape(goal.keep_out, (-1, 2, 3)), axis=1).tolist()
     return Goal(
-        poses=goal.poses or POSES,
+        poses=goal.poses or (UPDATE_POSES if goal.update else POSES),
         minutes=goal.minutes or MINUTES,
         enough=goal.enough,
         effects=tuple(goal.effects),
@@ -259,6 +262,8 @@ def _read_goal(goal: Any, options: dict[str, Any]) -> Goal:
         payload=goal.payload,
         warmer=goal.warmer,
         reach=goal.reach or 1.0,
+        update=goal.update,
+        certainty=goal.certainty or CERTAINTY,
         **options,
     )
 

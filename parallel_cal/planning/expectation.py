@@ -56,7 +56,7 @@ class View:
     """A linearised pool and validation poses, which give the information of every subset."""
 
     def __init__(self, sought: EstimationProblem, measured: np.ndarray, pool: Pool, unseen: Pool):
-        self._sought, self._pool = sought, pool
+        self._sought, self._pool, self._measured = sought, pool, measured
         model, free = sought.model, sought.free
         self._A = white_blocks(model, free, measured, pool.poses, pool.a)
         self._scaled = self._A * sought.tolerance
@@ -75,7 +75,9 @@ class View:
 
     def order_for_update(self, rows: np.ndarray, prior: Prior) -> UpdatePlan:
         """Order some poses of the pool by what they tell about the drift since the last fit."""
-        return order_for_update(self._sought.model, self._sought.free, prior, self._scaled[rows])
+        model, poses, a = self.model, self._pool.poses[rows], self._pool.a[rows]
+        seen = as_observations(model, self._measured, poses, a)
+        return order_for_update(model, self._sought.free, prior, self._scaled[rows], seen)
 
     def problem(self, criterion: str) -> SelectionProblem:
         p = self._scaled.shape[2]

@@ -47,6 +47,8 @@ class State(_Part):
     is the owner's reason for a forced step.
     `knocked` are the samples that the diagnosis excluded because they are far from all others; None
     if these samples were not diagnosed, or only a part of them.
+    `drift` says whether the robot has drifted since its last calibration, in a session that updates
+    one.
     """
 
     number: int
@@ -69,6 +71,7 @@ class State(_Part):
     sigmas_before: Mapping[str, float] = {}
     reason: str = ""
     knocked: Sequence[int] | None = None
+    drift: str = ""
 
     @property
     def verdict_text(self) -> str:

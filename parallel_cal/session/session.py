@@ -25,6 +25,7 @@ from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import add_plugin_folder, load_effect
+from parallel_cal.planning.options import PlanOptions
 from parallel_cal.planning.plan import plan
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
@@ -48,7 +49,7 @@ PERSISTENT = ("excluded", "imported", "taken", "fitting")
 # The fields of a state that judge its model.
 JUDGED = (
     *("before", "errors", "noise", "weights", "sigmas_before", "sigmas", "samples"),
-    *("against", "verdict", "summary"),
+    *("against", "verdict", "summary", "drift"),
 )
 
 
@@ -247,6 +248,11 @@ class Session(History):
         )
         return self._commit_judged(f"remove {effect}", step, reason)
 
+    @property
+    def _begin_of_update(self) -> Model:
+        """The last calibration: a later state already knows the samples of this session."""
+        return self._model(self.record.states[0])
+
     def _commit_judged(self, words: str, step: Step, reason: str, **changes: Any) -> State:
         """Append a step that was accepted, or forced for a `reason`."""
         if not step.acceptance.against:
@@ -328,6 +334,8 @@ class Session(History):
             **{**self.record.fitting, **changes.get("fitting", self.state.fitting)}
         )
         given = self.model if model is None else model
+        if options.update:
+            given = self._begin_of_update
         step = fitted(given, data, True, options=options, progress=progress, effects=effects)
         if step.result.implausible:  # later steps would start from it
             raise FitError(step.acceptance.against)
@@ -459,14 +467,17 @@ class Session(History):
         quaternions and joints).
 
         The poses are expected to be measured with the noise of this session's samples, as stated or
-        estimated, and with typical noise where it is unknown.
+        estimated, and with typical noise where it is unknown. In a session that updates a
+        calibration, they are in the order in which they decide whether the robot has drifted.
         """
         asked, weights = self.options, dict(self.state.weights)
         if not weights:
             samples = observe(self.model, self.dataset, asked.joint_sigma, asked.insist)
             weights = vars(noise_in_use(self.model, samples))
-        known = with_noise(dataclasses.replace(self.model, noise=Noise(**weights)))
-        found = plan(known, poses, progress=progress, free=asked.free, fix=asked.fix)
+        start = self._begin_of_update if asked.update else self.model
+        known = with_noise(dataclasses.replace(start, noise=Noise(**weights)))
+        only = PlanOptions(free=asked.free, fix=asked.fix, update=asked.update)
+        found = plan(known, poses, only, progress)
         file = self.folder / "plans" / f"{self.state.number}.csv"
         file.parent.mkdir(exist_ok=True)
         write_atomically(file, found.csv())
@@ -535,6 +546,7 @@ class Session(History):
             "weights": vars(noise_in_use(step.model, step.result.observations)),
             "against": step.acceptance.against,
             "samples": step.result.samples,
+            "drift": "" if step.result.drift is None else step.result.drift.warnings[0],
             "sigmas": step.result.rms_sigmas(step.result.held_out),
             "sigmas_before": step.sigmas_to_beat,
         }

@@ -11,14 +11,14 @@ import pytest
 from campaign_cells import SimulatedCell, model_of
 
 from parallel_cal.base.errors import ModelFileError
-from parallel_cal.campaign.campaign import Campaign, write_improved_model
+from parallel_cal.campaign.campaign import Campaign
 from parallel_cal.campaign.cell import CellError, Control, Sample
 from parallel_cal.campaign.checking import Checker
 from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.journal import FILE, CampaignError, find_unfinished
 from parallel_cal.campaign.judging import Conclusion, Judgement, JudgementRequest, conclude
 from parallel_cal.campaign.path_guard import Guard
-from parallel_cal.campaign.status import Curve, CurvePoint, Outcome
+from parallel_cal.campaign.status import Curve, CurvePoint, Outcome, write_improved_model
 from parallel_cal.campaign.targets import (
     Target,
     first_targets,

@@ -1,6 +1,7 @@
 """A campaign's cell without ROS: the virtual robot's messages, made samples as simply as can be."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,14 @@ from camera_cells import Cell as PixelCell
 from virtual_camera import as_conditions
 
 from parallel_cal.campaign.cell import CellError, Sample, UnseenError
+from parallel_cal.campaign.path_guard import Guard
+from parallel_cal.campaign.targets import first_targets
+from parallel_cal.campaign.trajectory import plan_trajectory
+from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.virtual.cell import Cell
 from parallel_cal.virtual.kinds import KINDS
 from parallel_cal.virtual.tracker import Tracker
@@ -159,3 +165,22 @@ class CameraCell(SimulatedCell):
             ),
             1,
         )
+
+
+def visit(cell, model, targets):
+    """Samples of a cell at targets, without a campaign."""
+    guard, samples = Guard.of(model), []
+    for target in targets:
+        path = guard.plan_path(cell.joints(), [np.array(target.joints)])
+        cell.move(plan_trajectory(path, model.mechanism), lambda: None)
+        samples.append(cell.sample(lambda: None).dataset)
+    return join_datasets(samples, [1] * len(samples))
+
+
+@cache
+def calibrated(seed):
+    """The text of the model of a virtual Delta that was calibrated at 40 poses."""
+    model = model_of("delta")
+    data = visit(SimulatedCell(seed=seed), model, first_targets(Guard.of(model), 50)[:40])
+    result = fit(model, data, hold_out=0.0)
+    return dump_model(replace(result.model, history=(result.history_entry(),)))

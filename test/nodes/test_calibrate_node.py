@@ -16,6 +16,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
+from campaign_cells import calibrated
 from parallel_cal_msgs.action import Calibrate
 from parallel_cal_msgs.msg import CalibrationStatus
 from rcl_interfaces.srv import SetParameters
@@ -97,6 +98,21 @@ def desk(tmp_path):
     one = Desk(tmp_path)
     yield one
     one.close()
+
+
+@pytest.mark.wide
+def test_an_update_ends_as_soon_as_it_is_decided_that_nothing_has_changed(tmp_path):
+    file = tmp_path / "robot.yaml"
+    file.write_text(calibrated(2))
+    heard = []
+    with Calibration(file, simulated={"robot": "delta", "seed": 2, "rate": 4.0}) as calibration:
+        result = calibration.run(heard.append, 10.0, update=True, certainty=0.9)
+    assert (result.success, result.verdict, result.hash) == (True, "unchanged", "")
+    document = json.loads(result.json)
+    assert document["drift"]["certainty"] == 0.9
+    assert document["poses"] < 24
+    assert file.read_text() == calibrated(2)
+    assert any(status.reason.startswith("pose 1 of 24") for status in heard)
 
 
 @pytest.mark.wide

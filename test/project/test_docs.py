@@ -257,6 +257,11 @@ def test_the_page_on_watching_shows_what_its_commands_print(tmp_path):
 
 
 @pytest.mark.wide
+def test_the_page_on_updates_shows_what_its_commands_print(tmp_path):
+    assert in_order("recheck.md", tmp_path) == 8
+
+
+@pytest.mark.wide
 def test_the_page_on_age_shows_what_its_commands_print(tmp_path):
     age.write_sessions(tmp_path)
     assert in_order("age.md", tmp_path) == 2

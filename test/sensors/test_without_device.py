@@ -13,7 +13,6 @@ from virtual_setups import random_delta, workspace
 import parallel_cal as pc
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.identification.acceptance import acceptance
-from parallel_cal.identification.update import Drift
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor
 from parallel_cal.recordings.dataset import Dataset
@@ -366,19 +365,6 @@ def test_two_arms_that_hold_one_another_are_a_chain_with_more_drives_than_motion
 def test_a_drift_is_accepted_by_its_evidence_and_the_set_up_is_placed_alike():
     """Ten touches hold too few poses out to prove a fall; sockets that nobody visited are no
     error."""
-    assert Drift.of([0.0, -5.0, 3.0, 2.0, -9.0, -9.0]).scale == 1.0
-    assert Drift.of([0.0, -5.0, 3.0, 2.0, -9.0, -9.0]).is_shown
-    doubtful = Drift.of([0.0, -1.0, -2.0, -3.0, -9.0, -9.0])
-    assert not doubtful.is_shown
-    assert not doubtful.is_decided
-    # 1 / (1 + 5 / (e^-1 + e^-2 + e^-3 + 2 e^-9)) = 9.95 %
-    assert "do not decide" in doubtful.warnings[0]
-    assert "that it has: 10 %" in doubtful.warnings[0]
-    none = Drift.of([0.0, -3.0, -4.0, -5.0, -9.0, -9.0])
-    assert not none.is_shown
-    assert none.is_decided
-    assert none.warnings == ("the samples show no drift since the last calibration",)
-    assert "3 times as far as usual" in Drift.of([0.0, 1.0, 2.0, 9.0, 2.0, 0.0]).warnings[0]
     model, before, today, *_ = drifted_delta(0)
     last = pc.fit(model, before, hold_out=0.0).model
     update = pc.fit(last, today, update=True)

@@ -1,0 +1,233 @@
+"""Bayes factors of changes since a calibration, by samples of any kind.
+
+The hypotheses are linear Gaussian models of one closure, linearised about the calibrated model. If
+nothing has changed, the parameters are off by the error of the calibration, N(0, C0). Each possible
+change adds F z to them, with z ~ N(0, s^2): F is one usual drift, and s is one of 1/3, 1, 3, 10 and
+30. The Bayes factor of a change against none has a closed form,
+
+    log B = 1/2 sum_k [s^2 z_k^2 / (1 + s^2 l_k) - log(1 + s^2 l_k)],
+
+with the eigenvalues l of F^T M F and z = Q^T F^T u; M and u are the information and the pull of the
+samples, from which the error of the calibration was integrated out. Without a change, the mean of
+their mixture is 1 after every sample. By Ville's inequality, the probability that it ever exceeds
+1 / a is at most a: one may look after each sample, and stop (J. Ville, Etude critique de la notion
+de collectif, 1939; A. Wald, Sequential Analysis, 1947).
+
+A change counts if it would have moved the samples of the calibration by more than their noise
+(rms). To say that nothing has changed, each single change that is just as large, +-c, must be
+excluded: its
+
+    log B = log cosh(c u) - c^2 l / 2
+
+must be below log a. By the same inequality, such a change is missed with a probability of at most
+a.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.predictions import predict_configurations
+from parallel_cal.identification.update import (
+    list_culprits,
+    list_drift_parts,
+    list_robot_parameters,
+    update_prior,
+)
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
+
+SCALES = np.array([1 / 3, 1.0, 3.0, 10.0, 30.0])  # usual drifts; a collision is 30
+ZERO, TEMPERATURE, PART, DEVICE = "zero", "temperature", "part", "measuring device"
+HOMING, EVERYTHING = "zeros and temperature", "all parts"
+
+
+@dataclass(frozen=True)
+class Change:
+    """What may have changed: its name, the `kind` of change, and the usual size F (n, k), in units
+    of the columns: these change by F z, z ~ N(0, 1)."""
+
+    name: str
+    kind: str
+    factor: np.ndarray
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Residuals (N, rows) in units of the noise, and their derivatives (N, rows, n + k) by the free
+    parameters, in tolerances, and by the displacements of the measuring device (m, rad), whose
+    usual sizes are `device` (k,). `rows` is the mean number of independent residuals of a sample.
+
+    A device that a fit places anyway, because it is a sensor of the model, has no columns."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    device: np.ndarray
+    rows: float
+
+    @classmethod
+    def of(cls, model: Model, observations: Observations) -> Columns:
+        free = ~np.asarray(model.fixed)
+        x = predict_configurations(model, observations)
+        linearise = Linearisation(model, observations, free, True)
+        C = np.empty((len(x), model.structure.rows.shape[0], len(model.structure.scale)))
+        system = linearise(model.values, x, by_measured=C)
+        rows, nq = float(system.informative.mean()), len(model.joints)
+        jacobian = system.jacobian * model.table.tolerance[free]
+        placed = any(p.group == "sensor" for p in model.table)
+        if placed or not observations.measured[:, nq : nq + 6].any():
+            return cls(system.residual, jacobian, np.zeros(0), rows)
+        seen = np.where(observations.measured[:, None, :], C, 0.0)
+        shift, turn = seen[:, :, nq : nq + 3], seen[:, :, nq + 3 : nq + 6]
+        columns, sizes = [], []
+        for bump in load_effect("device_bump").parameters(model.mechanism)[1:]:
+            kind, axis = bump.name.split("_")
+            k = "xyz".index(axis)
+            moved = shift[:, :, k]
+            if kind == "w":
+                across = np.cross(np.eye(3)[k], observations.x[:, nq : nq + 3])
+                moved = np.einsum("nij,nj->ni", shift, across) + turn[:, :, k]
+            columns.append(moved)
+            sizes.append(bump.tolerance)
+        displaced = linearise.whiten(C) @ np.stack(columns, axis=2)
+        every = np.concatenate([jacobian, displaced], axis=2)
+        return cls(system.residual, every, np.array(sizes), rows)
+
+    def sum(self, begin: int = 0, end: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """The information (n, n) and the pull (n,) of some samples."""
+        J = self.jacobian[begin:end].reshape(-1, self.jacobian.shape[2])
+        return J.T @ J, -J.T @ self.residual[begin:end].reshape(-1)
+
+
+def list_changes(model: Model, device: np.ndarray) -> list[Change]:
+    """List what may have changed; `device` are the usual displacements (k,) of a measuring device
+    that the columns behind those of the parameters stand for."""
+    free = ~np.asarray(model.fixed)
+    tolerance, names = model.table.tolerance[free], np.array(model.table.names)[free]
+
+    def change(name: str, kind: str, rows: np.ndarray) -> Change:
+        columns = np.atleast_2d(rows)[:, free].T / tolerance[:, None]
+        return Change(name, kind, np.pad(columns, ((0, len(device)), (0, 0))))
+
+    *zeros, temperature = list_culprits(model)
+    parts = list_drift_parts(model)
+    settled = np.vstack([parts["lengths"], parts["others"]])
+    single = [row for row in settled if row[free].any()]
+    found = [
+        *(change(one.name, ZERO, one.change) for one in zeros),
+        change(temperature.name, TEMPERATURE, temperature.change),
+        *(change(str(names[np.argmax(np.abs(row[free]))]), PART, row) for row in single),
+        # The usual culprits together, as after homing on another day, and all parts together.
+        change(HOMING, HOMING, np.array([one.change for one in (*zeros, temperature)])),
+        change(EVERYTHING, EVERYTHING, np.vstack([*parts.values()])),
+    ]
+    if len(device):
+        found.append(Change(DEVICE, DEVICE, np.pad(np.diag(device), ((len(tolerance), 0), (0, 0)))))
+    return [one for one in found if np.abs(one.factor).max() > 0]
+
+
+def read_calibration(model: Model) -> tuple[int, float]:
+    """Return how many samples the calibration had (0 if the history does not state it), and the
+    factor of the noise's variance that its residuals showed, at least 1: a model that is not
+    complete leaves more than noise. Of the fits in the history, the last one of those with the most
+    samples counts, because an update keeps what the fit before it knew."""
+    fits = [one for one in model.history if one.get("samples") and one.get("chi2_per_dof")]
+    most = max((int(one["samples"]) for one in fits), default=0)
+    last = next((one["chi2_per_dof"] for one in reversed(fits) if one["samples"] == most), 1.0)
+    return most, max(1.0, float(last))
+
+
+@dataclass(frozen=True)
+class DriftTest:
+    """The possible changes of a robot, in front of the error of its calibration.
+
+    Attributes
+    ----------
+    changes : tuple of Change
+        (H)
+    C0 : array (n, n)
+        Covariance of the calibration's error, in units of the columns.
+    variance : float
+        Of the noise, in units of the stated one.
+    typical : array (n, n)
+        Information of one sample like those of the calibration.
+    singles : array (n, E)
+        The single changes, each as large as just counts, and their `names` (E).
+    """
+
+    changes: tuple[Change, ...]
+    C0: np.ndarray
+    variance: float
+    typical: np.ndarray
+    singles: np.ndarray
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, model: Model, columns: Columns) -> DriftTest:
+        """FitError if the model was never fitted."""
+        free, k = ~np.asarray(model.fixed), len(columns.device)
+        n = int(free.sum())
+        tolerance = model.table.tolerance[free]
+        samples, variance = read_calibration(model)
+        C0 = np.zeros((n + k, n + k))
+        C0[:n, :n] = update_prior(model, 0.0).covariance[np.ix_(free, free)]
+        C0[:n, :n] *= variance / np.outer(tolerance, tolerance)
+        A, b = columns.sum()
+        typical = _integrate_out(C0, A / variance, b[:, None])[0] / len(columns.residual)
+        if samples:
+            # A fit knew nothing of the measuring set-up; today it may stand elsewhere.
+            robot = np.flatnonzero(list_robot_parameters(model)[free])
+            typical[:n, :n] = 0.0
+            typical[np.ix_(robot, robot)] = np.linalg.inv(C0[np.ix_(robot, robot)]) / samples
+        changes, names, singles = tuple(list_changes(model, columns.device)), [], []
+        for change in changes:
+            for factor in change.factor.T if change.kind not in (HOMING, EVERYTHING) else ():
+                squares = factor @ typical @ factor
+                # What is invisible even as large as a collision cannot be excluded.
+                if columns.rows <= SCALES[-1] ** 2 * squares:
+                    names.append(change.name)
+                    singles.append(factor * np.sqrt(columns.rows / squares))
+        counted = np.array(singles).reshape(-1, n + k).T
+        return cls(changes, C0, variance, typical, counted, tuple(names))
+
+    def log_factors(self, A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Log Bayes factors against none, by information A (n, n) and pulls b (n, D) in the stated
+        noise: of the changes by the `SCALES` (D, H, 5), and of the single ones (D, E)."""
+        M, u = _integrate_out(self.C0, A / self.variance, b / self.variance)
+        found = np.empty((u.shape[1], len(self.changes), len(SCALES)))
+        for k, change in enumerate(self.changes):
+            size, Q = np.linalg.eigh(change.factor.T @ M @ change.factor)
+            z = (Q.T @ (change.factor.T @ u))[:, :, None] ** 2
+            spread = 1 + SCALES**2 * np.maximum(size, 0.0)[:, None, None]
+            found[:, k] = (SCALES**2 * z / spread - np.log(spread)).sum(axis=0) / 2
+        pull = self.singles.T @ u
+        squares = np.sum(self.singles * (M @ self.singles), axis=0)
+        return found, (np.logaddexp(pull, -pull) - np.log(2) - squares[:, None] / 2).T
+
+    @property
+    def log_prior(self) -> np.ndarray:
+        """Log prior odds (H, 1) of each change, by each of the `SCALES`, against none: something
+        has changed as probably as nothing; kinds, and changes of a kind, are equally probable."""
+        kinds = [one.kind for one in self.changes]
+        share = [len(set(kinds)) * kinds.count(kind) * len(SCALES) for kind in kinds]
+        return -np.log(np.array(share, float))[:, None]
+
+
+def _integrate_out(C0: np.ndarray, A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information (n, n) and pulls (n, D) about changes, with an error N(0, C0) beside them."""
+    AC = A @ C0
+    solved = np.linalg.solve(np.eye(len(A)) + AC, np.column_stack([A, b]))
+    return solved[:, : len(A)], solved[:, len(A) :]
+
+
+def probabilities(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the probability (D,) that nothing has changed, and those of the changes (D, H, 5), by
+    their log posterior odds against it."""
+    highest = np.maximum(logs.max(axis=(1, 2)), 0.0)
+    changed, unchanged = np.exp(logs - highest[:, None, None]), np.exp(-highest)
+    total = changed.sum(axis=(1, 2)) + unchanged
+    return unchanged / total, changed / total[:, None, None]

@@ -1,0 +1,285 @@
+"""Decide, sample by sample, whether a robot has drifted since its calibration, and which part."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.threads import single_threaded
+from parallel_cal.identification.drift_test import (
+    DEVICE,
+    SCALES,
+    Columns,
+    DriftTest,
+    probabilities,
+)
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.update import update_prior
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+
+CERTAINTY = 0.95
+MIN_UNUSUAL_SCALE = 3.0
+MAX_LOOKS = 100  # numbers of samples after which the probabilities are computed
+DRIFTED, DEVICE_MOVED, UNCHANGED = "drifted", "device_moved", "unchanged"
+CHANGED, UNDECIDED = "changed", "undecided"
+
+
+@dataclass(frozen=True)
+class Look:
+    """The probabilities after some `samples`: that nothing has changed, and of each change by each
+    of the `SCALES` (H, 5). Together they are 1. The `rival` of "nothing" is the single change that
+    the samples exclude least, of those that just count, with its log Bayes factor against it."""
+
+    samples: int
+    unchanged: float
+    changed: np.ndarray
+    rival: tuple[str, float]
+
+
+@dataclass(frozen=True)
+class Recheck:
+    """Whether a robot has drifted since its calibration, as each further sample showed it.
+
+    Attributes
+    ----------
+    looks : tuple of Look
+        The probabilities after growing numbers of samples.
+    names, kinds : tuple of str
+        The possible changes (H): the zero of a joint, the temperature, a single parameter, all
+        zeros with the temperature, all parts, and the measuring device.
+    certainty : float
+        The probability at which it is decided.
+    covariance : array (n_parameters, n_parameters)
+        Of the drift that the samples let expect, SI: the mean over the changes of the robot.
+    growth : float
+        The rms error that the uncertainty of an updated model would cause at samples like those of
+        the calibration, in units of that of the last calibration.
+    """
+
+    looks: tuple[Look, ...]
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    certainty: float = CERTAINTY
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    growth: float = 1.0
+
+    @property
+    def _is_device(self) -> np.ndarray:
+        return np.array(self.kinds) == DEVICE
+
+    def _outcomes(self, look: Look) -> dict[str, float]:
+        by_change = look.changed.sum(axis=1)
+        return {
+            DRIFTED: float(by_change[~self._is_device].sum()),
+            DEVICE_MOVED: float(by_change[self._is_device].sum()),
+            UNCHANGED: look.unchanged,
+        }
+
+    def _decide(self, look: Look) -> str:
+        likely = {name: p for name, p in self._outcomes(look).items() if p >= self.certainty}
+        if 1 - look.unchanged >= self.certainty:
+            return next(iter(likely), CHANGED)
+        is_excluded = look.rival[1] <= math.log(1 / self.certainty - 1)
+        return UNCHANGED if is_excluded else UNDECIDED
+
+    @cached_property
+    def outcomes(self) -> dict[str, float]:
+        """The probabilities that the robot has drifted, that only the measuring device moved, and
+        that nothing has changed."""
+        return self._outcomes(self.looks[-1])
+
+    @cached_property
+    def decision(self) -> tuple[int, str]:
+        """The number of samples after which it was first decided, and how; if it is not, all
+        samples and the verdict. One may stop there: the errors are those that `certainty` says."""
+        decided = ((one.samples, self._decide(one)) for one in self.looks)
+        found = (one for one in decided if one[1] not in (CHANGED, UNDECIDED))
+        return next(found, (self.looks[-1].samples, self.verdict))
+
+    @property
+    def verdict(self) -> str:
+        """By all samples: `drifted`; `device_moved`; `changed` if it is one of these, but not
+        decided which; `unchanged`; `undecided`."""
+        return self._decide(self.looks[-1])
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether all samples decide what has changed, or that nothing has."""
+        return self.verdict not in (CHANGED, UNDECIDED)
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it is likelier that the robot has drifted than that nothing has changed."""
+        return self.outcomes[DRIFTED] > self.outcomes[UNCHANGED]
+
+    @cached_property
+    def parts(self) -> dict[str, float]:
+        """The probability of each change, if something has changed; the likeliest first."""
+        share = self.looks[-1].changed.sum(axis=1)
+        share = share / max(share.sum(), 1e-300)
+        found = dict(zip(self.names, share.tolist(), strict=True))
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+    @property
+    def scale(self) -> float:
+        """The likeliest size of a drift of the robot, in usual drifts."""
+        return float(SCALES[np.argmax(self.looks[-1].changed[~self._is_device].sum(axis=0))])
+
+    @property
+    def progress(self) -> str:
+        """How far the decision is, in a few words."""
+        words = f"that something has changed: {1 - self.outcomes[UNCHANGED]:.1%}"
+        if self.verdict == UNDECIDED:
+            words += f", least excluded: {self.looks[-1].rival[0]}"
+        return words
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What has changed, and what to do."""
+        if self.verdict == UNCHANGED:
+            return ("the samples show no drift since the last calibration",)
+        if self.verdict == DEVICE_MOVED:
+            return (
+                "the measuring device or its target moved since the last calibration, not the "
+                "robot: put it back, or add the sensor device_frame to the model, so that a fit "
+                "places it",
+            )
+        if self.verdict == UNDECIDED:
+            return (
+                "the samples do not decide whether the robot has drifted since the last "
+                f"calibration ({self.progress}): measure more of the planned poses, and fit them "
+                "together with these",
+            )
+        name, share = next((k, v) for k, v in self.parts.items() if k != DEVICE)
+        size = f"about {self.scale:.2g} times as far as usual (likeliest: {name}, {share:.0%})"
+        words = f"since the last calibration the robot drifted {size}"
+        if self.verdict == CHANGED:
+            moved = f"the measuring device moved ({self.outcomes[DEVICE_MOVED]:.0%})"
+            words = (
+                f"either the robot drifted since the last calibration, {size}, or {moved}: check "
+                "where the device stands, or measure more of the planned poses"
+            )
+        elif self.scale >= MIN_UNUSUAL_SCALE:
+            words += (
+                ": check what happened to it; with so large a drift, more samples or a complete "
+                "calibration are worthwhile"
+            )
+        return (words,)
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document: probabilities, SI."""
+        return {
+            "verdict": self.verdict,
+            "certainty": self.certainty,
+            "decision": dict(zip(("samples", "verdict"), self.decision, strict=True)),
+            "probability": self.outcomes,
+            "least_excluded": {
+                "part": self.looks[-1].rival[0],
+                "probability": 1 / (1 + math.exp(-self.looks[-1].rival[1])),
+            },
+            "scale": self.scale,
+            "parts": self.parts,
+            "growth": self.growth,
+            "looks": [{"samples": one.samples, **self._outcomes(one)} for one in self.looks],
+        }
+
+
+@single_threaded()
+def recheck(
+    model: Model,
+    dataset: Dataset,
+    joint_sigma: float | None = None,
+    insist: bool = False,
+    certainty: float = CERTAINTY,
+) -> Recheck:
+    """Decide whether a robot has drifted since its calibration.
+
+    Parameters
+    ----------
+    model : Model
+        The calibrated model, with the covariance of its fit.
+    dataset : Dataset
+        The samples of today, in the order in which they were measured.
+    joint_sigma : float, optional
+        Standard deviation of joint readings, rad or m. Default: that of the recording or the model.
+    insist : bool
+        Whether to accept joint readings that no such robot shows. Default False.
+    certainty : float
+        The probability at which it is decided, above 0.5 and below 1. A robot that has not drifted
+        is said to have changed with at most (1 - certainty) / certainty, however often one looks; a
+        change that counts is missed as rarely.
+
+    Returns
+    -------
+    Recheck
+
+    Raises
+    ------
+    FitError
+        If the model was never fitted, or nobody stated the noise: its evidence has no size then.
+    """
+    check_certainty(certainty)
+    observations = observe(model, dataset, joint_sigma, insist)
+    if observations.noise_assumed:
+        raise FitError(
+            f"{dataset.source}: nobody stated the noise of the samples, so nothing says how large "
+            "a drift they would show: state it in the model file, or with --joint-sigma"
+        )
+    columns = Columns.of(model, observations)
+    test = DriftTest.of(model, columns)
+    n, looks = len(observations), []
+    A, b = np.zeros_like(test.C0), np.zeros(len(test.C0))
+    ends = np.unique(np.linspace(0, n, min(n, MAX_LOOKS) + 1).round().astype(int))
+    for begin, end in pairwise(ends.tolist()):
+        A, b = (old + new for old, new in zip((A, b), columns.sum(begin, end), strict=True))
+        logs, singles = test.log_factors(A, b[:, None])
+        [unchanged], [changed] = probabilities(logs + test.log_prior)
+        k = int(np.argmax(singles[0])) if test.names else None
+        rival = ("", -np.inf) if k is None else (test.names[k], float(singles[0, k]))
+        looks.append(Look(end, float(unchanged), changed, rival))
+    drift, growth = _expect_drift(model, test, looks[-1], A / test.variance)
+    kinds = tuple(one.kind for one in test.changes)
+    names = tuple(one.name for one in test.changes)
+    return Recheck(tuple(looks), names, kinds, certainty, drift, growth)
+
+
+def check_certainty(certainty: float) -> None:
+    """Raise FitError unless a certainty is above 0.5 and below 1."""
+    if not 0.5 < certainty < 1:
+        raise FitError(f"certainty {certainty:g}: expected a probability above 0.5 and below 1")
+
+
+def _expect_drift(
+    model: Model, test: DriftTest, last: Look, A: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Return the covariance (n_parameters, n_parameters) of the drift, and how the error of an
+    updated model compares with that of the last calibration. If the device had moved, a fit of the
+    robot would not tell; so it is taken to stand."""
+    free = ~np.asarray(model.fixed)
+    n = int(free.sum())
+    own = np.array([one.kind != DEVICE for one in test.changes])
+    share = np.where(own[:, None], last.changed, 0.0)
+    weights = (share / (share.sum() + last.unchanged)) @ SCALES**2
+    factors = [one.factor[:n] for one in test.changes]
+    scaled = sum(w * F @ F.T for F, w in zip(factors, weights, strict=True))
+    C0, typical = test.C0[:n, :n], test.typical[:n, :n]
+    today = np.linalg.solve(np.eye(n) + (C0 + scaled) @ A[:n, :n], C0 + scaled)
+    growth = float(np.sqrt(np.vdot(typical, today) / np.vdot(typical, C0)))
+    drift = np.zeros((len(model.table), len(model.table)))
+    drift[np.ix_(free, free)] = scaled * np.outer(*[model.table.tolerance[free]] * 2)
+    return drift, growth
+
+
+def drift_prior(model: Model, found: Recheck) -> Prior:
+    """Return the knowledge of today: the last calibration, widened by the drift that the samples
+    let expect. Raises FitError for a model without a covariance."""
+    last = update_prior(model, 0.0)
+    return Prior(last.mean, last.covariance + found.covariance)

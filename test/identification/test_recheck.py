@@ -1,0 +1,172 @@
+"""Whether a robot has drifted since its calibration; the robot is one of points and rods."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from virtual_setups import random_delta
+
+import parallel_cal as pc
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.drift_test import (
+    DEVICE,
+    SCALES,
+    Change,
+    DriftTest,
+    probabilities,
+    read_calibration,
+)
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.recheck import recheck
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.recordings.dataset import Dataset
+
+JOINT, TRACKER = 2e-5, 30e-6
+
+
+def session(n, rng, zeros=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0), stated=True):
+    """Samples of a Delta whose zeros (rad) and whose tracker (m) have shifted."""
+    r = rng.uniform((-0.06, -0.06, 0.14), (0.06, 0.06, 0.26), (n, 3))
+    q = random_delta(0).inverse(r)[0] + zeros + rng.normal(0, JOINT, (n, 3))
+    noise = {"pose_cov": np.diag([TRACKER**2] * 3 + [1e6] * 3), "joint_sigma": [JOINT] * 3}
+    return Dataset.from_arrays(
+        new_model("delta24").joints,
+        q,
+        r + shift + rng.normal(0, TRACKER, (n, 3)),
+        measured=[True] * 3 + [False] * 3,
+        pose_id=np.arange(n),
+        source="virtual tracker",
+        **(noise if stated else {}),
+    )
+
+
+@cache
+def calibrated():
+    model = replace(new_model("delta24"), noise=Noise(JOINT, TRACKER))
+    result = pc.fit(model, session(100, np.random.default_rng(1)), hold_out=0.0)
+    return replace(result.model, history=(result.history_entry(),))
+
+
+def made_test(rng, n=4, rows=3):
+    """Two single changes and one of both, beside an error of the calibration in all directions."""
+    root = rng.normal(size=(n, n))
+    singles = [Change(name, name, np.eye(n)[:, [k]]) for k, name in enumerate("ab")]
+    changes = (*singles, Change("both", "both", np.eye(n)[:, :2]))
+    counted = np.column_stack([one.factor for one in singles]) * 2.0
+    C0 = 0.3 * root @ root.T
+    return DriftTest(changes, C0, 1.0, np.eye(n), counted, ("a", "b"))
+
+
+def test_the_factors_are_ratios_of_the_densities_of_all_residuals():
+    rng = np.random.default_rng(3)
+    test, J, y = made_test(rng), rng.normal(size=(9, 4)), rng.normal(size=9)
+    A, b = J.T @ J, -J.T @ y
+    logs, singles = test.log_factors(A, b[:, None])
+
+    def density(covariance, mean=0.0):
+        return multivariate_normal(np.zeros(9) + mean, np.eye(9) + J @ covariance @ J.T).logpdf(y)
+
+    none = density(test.C0)
+    for k, change in enumerate(test.changes):
+        wider = [density(test.C0 + s**2 * change.factor @ change.factor.T) for s in SCALES]
+        assert logs[0, k] == pytest.approx(np.array(wider) - none)
+    for k, single in enumerate(test.singles.T):
+        two = [density(test.C0, J @ single), density(test.C0, -J @ single)]
+        assert singles[0, k] == pytest.approx(np.logaddexp(*two) - np.log(2) - none)
+
+
+def test_whoever_looks_after_each_sample_is_wrong_no_more_often_than_the_certainty_says():
+    rng, sessions, limit = np.random.default_rng(4), 4000, 0.8
+    test = made_test(rng)
+    root = np.linalg.cholesky(test.C0)
+    alarms, missed = np.zeros((2, sessions), bool)
+    errors = root @ rng.normal(size=(4, sessions))
+    A, still, moved = np.zeros((4, 4)), np.zeros((4, sessions)), np.zeros((4, sessions))
+    for _ in range(12):
+        J = rng.normal(size=(2, 4))
+        seen = J @ errors + rng.normal(size=(2, sessions))
+        A = A + J.T @ J
+        still, moved = still - J.T @ seen, moved - J.T @ (seen + J @ test.singles[:, :1])
+        unchanged, _ = probabilities(test.log_factors(A, still)[0] + test.log_prior)
+        alarms |= 1 - unchanged >= limit
+        missed |= test.log_factors(A, moved)[1][:, 0] <= np.log(1 / limit - 1)
+    bound = (1 - limit) / limit  # 0.25
+    assert 0.02 < alarms.mean() < bound
+    assert 0.02 < missed.mean() < bound
+
+
+def test_a_zero_that_jumped_is_named_after_few_samples():
+    found = recheck(calibrated(), session(12, np.random.default_rng(5), (0.0, 2e-3, 0.0)))
+    assert found.verdict == "drifted"
+    assert next(iter(found.parts)) == "zero of joint2"
+    assert found.looks[0].unchanged < 1e-3  # that something moved shows at once; which, later
+    samples, verdict = found.decision
+    assert (samples <= 6, verdict) == (True, "drifted")
+    assert "likeliest: zero of joint2" in found.warnings[0]
+    assert found.growth < 2
+    assert found.document()["looks"][-1]["drifted"] == pytest.approx(found.outcomes["drifted"])
+
+
+def test_without_a_drift_the_robot_is_said_to_be_unchanged_before_all_poses_are_measured():
+    found = recheck(calibrated(), session(24, np.random.default_rng(6)))
+    assert found.decision[1] == "unchanged"
+    assert 4 <= found.decision[0] < 20
+    assert not found.is_shown
+    surer = replace(found, certainty=0.999)
+    assert surer.decision[0] > found.decision[0]
+    assert found.warnings == ("the samples show no drift since the last calibration",)
+    # A few samples could not show what counts.
+    few = recheck(calibrated(), session(2, np.random.default_rng(6)))
+    assert few.verdict == "undecided"
+    assert "least excluded" in few.warnings[0]
+
+
+def test_a_tracker_that_was_moved_is_no_drift_of_the_robot():
+    moved = session(12, np.random.default_rng(7), shift=(0.3e-3, -0.2e-3, 0.0))
+    found = recheck(calibrated(), moved)
+    assert found.verdict == "device_moved"
+    assert found.kinds[found.names.index(next(iter(found.parts)))] == DEVICE
+    assert "put it back" in found.warnings[0]
+
+
+def test_a_calibration_that_left_more_than_noise_lets_expect_more_today():
+    model = calibrated()
+    assert read_calibration(replace(model, history=())) == (0, 1.0)
+    entry = model.history[0] | {"chi2_per_dof": 4.0}
+    update = entry | {"samples": 8, "chi2_per_dof": 0.1}
+    worse = replace(model, history=(entry, update))
+    assert read_calibration(worse) == (100, 4.0)
+    today = session(12, np.random.default_rng(8), (0.4e-3, 0.0, 0.0))
+    sure, doubtful = (recheck(one, today).outcomes["drifted"] for one in (model, worse))
+    assert doubtful < sure
+
+
+def test_a_drift_needs_a_calibration_a_noise_and_a_certainty():
+    today = session(5, np.random.default_rng(9))
+    with pytest.raises(FitError, match="no covariance of one"):
+        recheck(replace(new_model("delta24"), noise=Noise(JOINT, TRACKER)), today)
+    with pytest.raises(FitError, match="nobody stated the noise"):
+        recheck(
+            replace(calibrated(), noise=Noise()),
+            session(5, np.random.default_rng(9), stated=False),
+        )
+    with pytest.raises(FitError, match=r"certainty 0\.3: expected a probability above 0\.5"):
+        recheck(calibrated(), today, certainty=0.3)
+
+
+def test_a_session_updates_the_last_calibration_and_counts_its_samples_once(tmp_path):
+    session_of = pc.Session.new(tmp_path, calibrated(), [], fitting=FitOptions(update=True))
+    today = session(8, np.random.default_rng(10), (0.0, 2e-3, 0.0))
+    session_of.take(today.to_json)
+    first = session_of.fit()
+    assert "likeliest: zero of joint2" in first.drift
+    sigma = session_of.model.covariance.copy()
+    assert session_of.fit().drift == first.drift
+    assert session_of.model.covariance == pytest.approx(sigma)
+    rows = session_of.plan(6).read_text().splitlines()
+    # The order is that of an update of the last calibration, not of the samples of today.
+    noise = Noise(**session_of.state.weights)
+    same = pc.plan(replace(calibrated(), noise=noise), 6, update=True)
+    assert rows[-6:] == same.csv().splitlines()[-6:]
