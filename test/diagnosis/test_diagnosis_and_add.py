@@ -50,7 +50,7 @@ def test_effects_may_be_added_together_if_they_may_be_added_one_after_the_other(
     """Next to the residuals of the geometry, which contain the gains, an effect of the device
     explains more than the spools; next to the gains it does not."""
     model, data = hexapod
-    first = add(model, "encoder_gain", data)
+    first = fitted(model, data, effects=["encoder_gain"])
     then = add(first.model, "spool_buildup", data)
     both = add(model, "encoder_gain+spool_buildup", data)
     assert held_out(both.result) == pytest.approx(held_out(then.result), rel=0.02)
