@@ -214,6 +214,13 @@ MUTANTS = (
         "test_noise_shape.py test_diagnosis_noise.py",
     ),
     Mutant(
+        "diagnosis/patterns.py",
+        "    return frozenset(numbers) - guilty\n",
+        "    return frozenset()\n",
+        "a sample that an effect explains stays excluded",
+        "test_diagnosis_and_add.py::test_what_only_another_model_took_for_knocked_is_taken_back",
+    ),
+    Mutant(
         "discovery/proof.py",
         "if not against and not choice.is_clear:",
         "if False:",
