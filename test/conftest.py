@@ -5,10 +5,12 @@ reaches the tests however they are started. Tests and helpers import each other 
 folder they are in.
 """
 
+import gc
 import os
 import signal
 import sys
 import tempfile
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -27,6 +29,12 @@ def pytest_configure(config):
         settings.load_profile("quick")
     else:
         settings.load_profile("wide" if "wide" in marks else "nightly")
+
+
+def pytest_collection_finish():
+    """What stands now stays: the collector of garbage need not go through it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_ignore_collect(collection_path, config):
@@ -52,6 +60,36 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 # child of such a job inherits that. Tests that send SIGINT would then wait for nothing.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def bags_are_read_once():
+    """Many tests load the same few bags: each reads a copy of what the first one read, as long as
+    the files are the same. Tests of the reader itself call `read_bag`, which keeps nothing."""
+    from parallel_cal.recordings import loading
+
+    read, kept = loading.read_bag, {}
+
+    def read_once(path, options=None, progress=None):
+        root = Path(path)
+        files = sorted(root.rglob("*")) if root.is_dir() else [root]
+        stats = [(str(f), f.stat()) for f in files if f.exists()]
+        state = [(name, s.st_ino, s.st_mtime_ns, s.st_size) for name, s in stats]
+        asked = None
+        if options:  # of the robot, the names decide what is read
+            names = (options.joint_names, options.passive_joints)
+            asked = (names, repr(options.with_values(mechanism=None)))
+        key = (os.getcwd(), str(path), asked, *state)
+        if key not in kept:
+            found = read(path, options, progress)
+            if len(kept) >= 32:  # bags that a test wrote for itself
+                kept.pop(next(iter(kept)))
+            kept[key] = found
+        return deepcopy(kept[key])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loading, "read_bag", read_once)
+        yield
 
 
 @pytest.fixture

@@ -17,15 +17,16 @@ from typing import Any
 _lock = Lock()
 _inside = 0
 _limits: list[Any] = []
-_modules = 0  # number of loaded modules at the last search for BLAS libraries
+_modules = 0  # number of loaded modules at the last search for BLAS libraries ...
+_libraries: Any = None  # ... and the controller of those that were found
 
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
     """Use one BLAS thread, as a context or as a decorator of a public function; then restore.
 
-    Entering takes up to a millisecond, or a microsecond inside another one: use it for a fit or a
-    diagnosis, not for the direct problem of one pose.
+    Entering takes tens of microseconds, or one inside another one; a millisecond if modules were
+    loaded since. Use it for a fit or a diagnosis, not for the direct problem of one pose.
     """
     _enter()
     try:
@@ -35,14 +36,16 @@ def single_threaded() -> Iterator[None]:
 
 
 def _enter() -> None:
-    global _inside, _modules
+    global _inside, _modules, _libraries
     with _lock:
         # Modules loaded since then, such as SciPy's, may have brought another BLAS.
-        if not _inside or _modules != len(sys.modules):
-            from threadpoolctl import threadpool_limits
+        found = _modules != len(sys.modules)
+        if found or not _inside:
+            from threadpoolctl import ThreadpoolController
 
             _let_any_thread_set_limits()
-            _limits.append(threadpool_limits(limits=1))
+            _libraries = ThreadpoolController() if found or _libraries is None else _libraries
+            _limits.append(_libraries.limit(limits=1))
             _let_any_thread_set_limits()
             _modules = len(sys.modules)
         _inside += 1

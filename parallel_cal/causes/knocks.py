@@ -37,7 +37,11 @@ def list_knock_blocks(scene: Scene, chosen: Sequence[Choice] = ()) -> list[Block
     for i in np.union1d(furthest, without).tolist():
         number = int(dataset.numbers[i])
         prior = 0.0 if number in sideless else LOG_ODDS - np.log(len(dataset))
-        columns, setting = _list_columns(scene, i), {"sample": number}
+        # Any change of the rows of this sample that say anything: (n, informative).
+        informative, setting = int(scene.informative[i]), {"sample": number}
+        rows = np.zeros((len(scene.x), scene.rows, informative))
+        rows[i] = USUAL_SIGMAS * np.linalg.svd(scene.whitener[i])[0][:, :informative]
+        columns = rows.reshape(len(scene.residual), informative)
         found.append(Block.of(scene, f"sample {number}", KNOCK, prior, [columns], [setting]))
     return [block for block in found if block is not None]
 
@@ -56,14 +60,6 @@ def compute_falls(scene: Scene, chosen: Sequence[Choice] = ()) -> np.ndarray:
     taken = scene.by_sample(np.hstack([scene.basis, Z]))
     P = (1 + MIN_DETERMINED) * np.eye(scene.rows) - taken @ taken.transpose(0, 2, 1)
     return np.asarray(np.einsum("nr,nr->n", e, np.linalg.solve(P, e[:, :, None])[:, :, 0]))
-
-
-def _list_columns(scene: Scene, i: int) -> np.ndarray:
-    """Any change of the rows of sample i that say anything: (n, informative)."""
-    informative = int(scene.informative[i])
-    rows = np.zeros((len(scene.x), scene.rows, informative))
-    rows[i] = USUAL_SIGMAS * np.linalg.svd(scene.whitener[i])[0][:, :informative]
-    return rows.reshape(len(scene.residual), informative)
 
 
 def find_sideless_samples(dataset: Dataset) -> set[int]:

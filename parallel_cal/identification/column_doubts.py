@@ -236,7 +236,7 @@ def _find_fitting_guesses(
         for guess in _list_guesses(model, placed, turned)
         if (poses := given if guess.keeps_joints else _read_joints(model, few, guess))
     ]
-    guesses.sort(key=lambda one: one[1].compute_median_error(one[1].closed_form_frames()))
+    guesses.sort(key=lambda one: one[1].compute_closed_form_error())
     best = guesses[:MAX_GUESSES_REFINED]
     errors = [poses.compute_median_error(poses.frames) for _, poses in best]
     before = np.inf if given is None else given.compute_median_error(given.frames)

@@ -585,8 +585,14 @@ class UnjudgedFit:
         result = self.result
         folds = _folds(result.dataset, result.options)
         report = progress or ignore_progress
-        held_out = _cross_validate(folds, self.fit_fold, result.after, report)
-        return replace(result, held_out=held_out)
+        # At every pose, of a fit that held it out; NaN if that is not possible.
+        parts = result.after.blank().parts()
+        for k, (train, test) in enumerate(folds):
+            report("fitting without held-out poses", 0.2 + 0.8 * k / len(folds))
+            if (unseen := self.fit_fold(train, test)) is not None:
+                for name, array in unseen.parts().items():
+                    parts[name][test] = array
+        return replace(result, held_out=Errors(**parts))
 
 
 def fit_unjudged(
@@ -742,14 +748,3 @@ def _method_of(step: Mapping[str, Any]) -> dict[str, Any]:
 
 def _names(model: Model, mask: np.ndarray) -> set[str]:
     return {name for name, chosen in zip(model.table.names, mask, strict=True) if chosen}
-
-
-def _cross_validate(folds: Folds, judged: Judged, like: Errors, report: Progress) -> Errors:
-    """Errors at every pose, of a fit that held it out; NaN if that is not possible."""
-    parts = like.blank().parts()
-    for k, (train, test) in enumerate(folds):
-        report("fitting without held-out poses", 0.2 + 0.8 * k / len(folds))
-        if (unseen := judged(train, test)) is not None:
-            for name, array in unseen.parts().items():
-                parts[name][test] = array
-    return Errors(**parts)

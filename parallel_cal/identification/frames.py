@@ -194,16 +194,26 @@ class PosePairs:
         away = self._residual(frames)[self.placed, :3]
         return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
-    def closed_form_frames(self) -> Frames:
-        """The best of the frames from which `frames` descends."""
-        return min(self._starts(), key=self.compute_median_error)
+    def compute_closed_form_error(self) -> float:
+        """Median distance of the poses (m) with the best of the frames from which `frames`
+        descends."""
+        return min(map(self.compute_median_error, self._starts()))
 
     def compute_median_error(self, frames: Frames) -> float:
         """Median distance of the poses (m), with orientations times length."""
         return float(np.median(self._sizes(frames)[self._used]))
 
     def _sizes(self, frames: Frames) -> Array:
-        return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
+        """Norms (N,) of `_residual`, where orientations were measured as a whole without the axes
+        of their errors."""
+        if not (self._fully_turned == self.turned).all():
+            return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
+        apart = frames.F @ self.seen_R - self.R @ frames.T
+        # |A - B|^2 = 8 sin^2(angle / 2), the sum of squares of a difference of two rotations
+        sine = np.sqrt(np.einsum("nij,nij->n", apart, apart) / 8)
+        angles = np.where(self.turned, 2 * np.arcsin(np.minimum(sine, 1.0)), 0.0)
+        away = self._displacements(frames)
+        return np.asarray(np.sqrt(np.sum(away**2, axis=1) + (self.length * angles) ** 2))
 
     def _residual(self, frames: Frames) -> Array:
         """(N, 6) in axes of the device: position (m), then orientation times length; zero where not

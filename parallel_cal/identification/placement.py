@@ -80,7 +80,7 @@ def _fit_views(
     for view in sensor.views(reading):
         shown = max(shown, int(view.seen.sum()))
         if (there := _compare(model, view, reached)) is not None:
-            error = there.compute_median_error(there.closed_form_frames())
+            error = there.compute_closed_form_error()
             found.append((error, view.sensor, there))
     return found, shown
 

@@ -127,7 +127,9 @@ def _describe_validity(*models: Model, recorded: Sequence[str] = ()) -> str:
     kinds = list(dict.fromkeys(kind for model in models for kind in find_robot_conditions(model)))
     drawn = {name.partition(".")[0] for name in recorded}
     if given := [kind for kind in kinds if kind in drawn]:
-        parts.append(f"each place with the {_join(given)} of a sample drawn at random")
+        *others, last = given
+        named = f"{', '.join(others)} and {last}" if others else last
+        parts.append(f"each place with the {named} of a sample drawn at random")
     if neutral := [kind for kind in kinds if kind not in drawn]:
         parts.append(f"at neutral conditions ({', '.join(map(_describe_neutral, neutral))})")
     return ", ".join(parts)
@@ -136,10 +138,6 @@ def _describe_validity(*models: Model, recorded: Sequence[str] = ()) -> str:
 def _describe_neutral(kind: str) -> str:
     unit, value, _ = CONDITIONS[kind]
     return f"{kind} {value:g} {unit}" if value else f"{kind} 0"
-
-
-def _join(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def solve_middle_planes(model: Model) -> Solutions | None:

@@ -279,15 +279,13 @@ class Iteration:
         begin = ca.DM(self.home) if from_start else x[n + 12 :]
         for _ in range(self.iterations):
             x, length, pivot = self.step(x, constants)
-        x = ca.vertcat(x[: n + 12], self._unwind(x[n + 12 :], begin))
-        residual = ca.norm_2(self.residual(x, constants))
-        inside = ca.mmin(ca.vertcat(x[:n] - low, high - x[:n]))
-        return ca.Function(name, [given, a, k_and_limits], [x, length, residual, pivot, inside])
-
-    def _unwind(self, u: Any, begin: Any) -> Any:
-        """Move passive angles by whole turns to within half a turn of home, or of the configuration
-        to refine: a long step may turn a joint several times."""
+        # A long step may turn a passive joint several times: its angle is moved by whole turns to
+        # within half a turn of home, or of the configuration to refine.
+        u = x[n + 12 :]
         for k, turn in enumerate(self.turns):
             if turn:
                 u[k] -= turn * ca.floor((u[k] - begin[k]) / turn + 0.5)
-        return u
+        x = ca.vertcat(x[: n + 12], u)
+        residual = ca.norm_2(self.residual(x, constants))
+        inside = ca.mmin(ca.vertcat(x[:n] - low, high - x[:n]))
+        return ca.Function(name, [given, a, k_and_limits], [x, length, residual, pivot, inside])

@@ -49,16 +49,13 @@ def start_function(s: Structure, problem: str) -> ca.Function:
             change = ca.SX.zeros(len(s.scale))
             for column, slope, curvature in zip(columns, *series, strict=True):
                 change[column] = ca.dot(ca.DM(slope), d) + ca.bilin(ca.DM(curvature), d, d) / 2
-            start = _apply(start, change, n, turned={n + 3, n + 4, n + 5} & {*columns})
+            R9 = start[n + 3 : n + 12]  # turned by a rotation vector in `change`
+            if {n + 3, n + 4, n + 5} & {*columns}:
+                R9 = ca.vec((cayley(change[n + 3 : n + 6]) @ ca.reshape(R9, 3, 3).T).T)
+            start = ca.vertcat(
+                start[: n + 3] + change[: n + 3], R9, start[n + 12 :] + change[n + 6 :]
+            )
     return ca.Function(f"{problem}_start", [s.configuration, s.v], [start])
-
-
-def _apply(x: Any, change: Any, n: int, turned: set[int]) -> Any:
-    """Apply a change of (q, r, w, u) to a configuration (q, r, R9, u)."""
-    R9 = x[n + 3 : n + 12]
-    if turned:
-        R9 = ca.vec((cayley(change[n + 3 : n + 6]) @ ca.reshape(R9, 3, 3).T).T)
-    return ca.vertcat(x[: n + 3] + change[: n + 3], R9, x[n + 12 :] + change[n + 6 :])
 
 
 def _change_from_home(s: Structure, problem: str) -> Any:

@@ -108,8 +108,9 @@ class FiveBar(Mechanism):
         pose = self.candidates(ca.DM(angles), p)[1 if below else 0][0]
         x, y = (round(float(v), 13) for v in pose.elements()[:2])
         if not np.isfinite([x, y]).all():
+            rods = " and ".join(dict.fromkeys(f"{length:g}" for length in bars["rod"]))
             raise ModelError(
-                f"rod is {_show(bars['rod'])} m: the rods do not meet at home, with the cranks at "
+                f"rod is {rods} m: the rods do not meet at home, with the cranks at "
                 f"{angles[0]:g} and {angles[1]:g} rad; expected longer rods"
             )
         self.home = Home(tuple(map(float, angles)), (x, y, 0.0))
@@ -248,7 +249,3 @@ def _read_sides(name: str, given: float | Sequence[float]) -> tuple[float, float
         raise ModelError(f"{name} is {given!r}: expected one number, or two: [left, right]")
     left, right = (read_numbers({name: value})[name] for value in two)
     return left, right
-
-
-def _show(lengths: tuple[float, float]) -> str:
-    return f"{lengths[0]:g}" if lengths[0] == lengths[1] else f"{lengths[0]:g} and {lengths[1]:g}"

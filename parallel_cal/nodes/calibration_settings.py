@@ -179,17 +179,14 @@ class CalibrationSettings:
                 self.model_trouble = ""
         except ParallelCalError as error:
             if self._version != str(error):
-                self._log_trouble(path, error)
+                if self._version is None and not os.path.lexists(path):
+                    # Another node that is launched with this one may write it.
+                    self._node.get_logger().warning(f"model file: {path} does not exist yet")
+                else:
+                    self._node.get_logger().error(f"model file: {error}")
             self._version, self._joints = str(error), None
             self.model_trouble = str(error)
         return self._joints
-
-    def _log_trouble(self, path: str, error: Exception) -> None:
-        if self._version is None and not os.path.lexists(path):
-            # Another node that is launched with this one may write it.
-            self._node.get_logger().warning(f"model file: {path} does not exist yet")
-        else:
-            self._node.get_logger().error(f"model file: {error}")
 
     def _check_changes(self, changes: Changes) -> SetParametersResult:
         """Refuse files that requests may not name, and a model file that cannot be read."""

@@ -99,18 +99,19 @@ class RobotWatch:
             return
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         readings = dict(zip(message.name, message.position, strict=False))
-        dataset = self._live.collect(stamp, readings, self._conditions())
+        conditions = {
+            name: value
+            for name, value in self._memory.heard.copy().items()
+            if not name.startswith(RATES)
+        }
+        directions = self._memory.tracker.direction.copy()
+        conditions |= {f"direction.{joint}": sign for joint, sign in directions.items()}
+        dataset = self._live.collect(stamp, readings, conditions)
         if dataset is not None:
             self.end()  # an interval takes longer than its evaluation
             work = partial(self._evaluate, self._live, dataset)
             self._thread = Thread(target=work, daemon=True)
             self._thread.start()
-
-    def _conditions(self) -> dict[str, float]:
-        """The conditions that were received, and the direction of approach of each joint."""
-        known = {k: v for k, v in self._memory.heard.copy().items() if not k.startswith(RATES)}
-        directions = self._memory.tracker.direction.copy()
-        return known | {f"direction.{joint}": sign for joint, sign in directions.items()}
 
     def _begin(self, served: ServedModel) -> None:
         """Watch another model, from the state beside its file."""

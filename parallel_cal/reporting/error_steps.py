@@ -68,6 +68,8 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
     title = f"{found.words} [{unit}]; {floor}"
     axis = _make_axis(values, noise)
     bottom = 10 ** axis["range"][0] if axis["type"] == "log" else 0.0
+    many = len(found.steps) > MANY_STEPS
+    width, most = (MAX_UPRIGHT_WIDTH, 1) if many else (MAX_LABEL_WIDTH, MAX_LABEL_LINES)
     return {
         "data": [
             *_draw_bars(found.steps, values),
@@ -93,7 +95,7 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
             "barmode": "overlay",
             "xaxis": {
                 "tickvals": list(range(len(values))),
-                "ticktext": _make_labels(found.steps),
+                "ticktext": [_shorten(step.name, width, most) for step in found.steps],
                 "range": ends,
                 # Plotly chooses the first angle at which no labels overlap. At any slanted angle it
                 # omits the last label, which extends beyond the axis.
@@ -232,13 +234,6 @@ def _place_label(steps: Sequence[Step], k: int) -> str:
 
 def _colour(branch: int) -> str:
     return BRANCH_COLOURS[branch % len(BRANCH_COLOURS)]
-
-
-def _make_labels(steps: Sequence[Step]) -> list[str]:
-    """Shorten the names of the steps to lines of whole words."""
-    many = len(steps) > MANY_STEPS
-    width, most = (MAX_UPRIGHT_WIDTH, 1) if many else (MAX_LABEL_WIDTH, MAX_LABEL_LINES)
-    return [_shorten(step.name, width, most) for step in steps]
 
 
 def _shorten(name: str, width: int, most: int) -> str:

@@ -178,12 +178,16 @@ def certificate(report: Report) -> str:
     errors = report.errors
     counts = describe_counts(errors.samples, errors.poses, True)
     verdict = report.diagnosis.verdict
+    fitted = report.diagnosis.base.fitted
     rows |= {
         "Model": f"{p.mechanism}, effects: {', '.join(p.effects) or 'none'}; sha256 "
         f"{p.model_sha256}",
         "Data": f"{data.source}; {counts}; sha256 {data.sha256 or 'not known'}",
         "Excluded samples": _describe_excluded(data),
-        "Noise, 1 sigma": _describe_noise(report),
+        "Noise, 1 sigma": "; ".join(
+            f"{one.name} {with_unit(one.value, one.unit)} ({one.source})"
+            for one in list_noise(fitted.model, fitted.observations)
+        ),
         "Region of the samples": report.diagnosis.base.fitted.region.description,
         "Verdict": sentence(describe_verdict(verdict.word, verdict.text)),
         "Trusted": sentence(describe_age(report.age, datetime.fromisoformat(p.made).timestamp())),
@@ -213,15 +217,6 @@ def name_robot(stated: CertificateFields) -> str:
     """Name the robot and its serial number as stated: `Delta 4, serial number D-0042`."""
     serial = f"serial number {stated.serial_number}" if stated.serial_number else ""
     return ", ".join(filter(None, (stated.robot, serial)))
-
-
-def _describe_noise(report: Report) -> str:
-    """Describe the noise of joints and devices: `joints 0.12 mrad (model file); ...`."""
-    fitted = report.diagnosis.base.fitted
-    return "; ".join(
-        f"{one.name} {with_unit(one.value, one.unit)} ({one.source})"
-        for one in list_noise(fitted.model, fitted.observations)
-    )
 
 
 def _describe_excluded(data: Dataset) -> str:

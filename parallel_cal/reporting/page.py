@@ -91,10 +91,13 @@ class PageBuilder:
         """Make the page with the figures and the `content`, which is HTML; `footer` is printed on
         each sheet of paper, next to its number."""
         figures = json.dumps(self._figures, allow_nan=False, separators=(",", ":"))
+        # In a string of CSS, any character may be its code.
+        codes = "".join(f"\\{ord(letter):x} " for letter in footer)
+        sheet = f'@page {{ @bottom-left {{ content: "{codes}"; font: 9px sans-serif; }} }}\n'
         return Template(_text("page.html")).substitute(
             title=escape(title),
             made=escape(made),
-            style=_text("blocks.css") + _text("page.css") + _print_on_each_sheet(footer),
+            style=_text("blocks.css") + _text("page.css") + sheet,
             body=content,
             figures=figures.replace("<", "\\u003c"),  # cannot end the script element
             plotly=f'<script src="{library}"></script>'
@@ -108,13 +111,6 @@ class PageBuilder:
         """Make the page of some sections, with the present time."""
         made = datetime.now(timezone.utc).isoformat(timespec="minutes")
         return self.page(title, f"{day(made)}, parallel_cal {__version__}", "\n".join(parts))
-
-
-def _print_on_each_sheet(text: str) -> str:
-    """Make the style that prints a text at the bottom of each sheet. In a string of CSS, any
-    character may be its code."""
-    codes = "".join(f"\\{ord(letter):x} " for letter in text)
-    return f'@page {{ @bottom-left {{ content: "{codes}"; font: 9px sans-serif; }} }}\n'
 
 
 def plotly() -> str:

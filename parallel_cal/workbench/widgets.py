@@ -218,7 +218,10 @@ def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, 
             "field": field,
             "align": "right" if _is_of_numbers(rows, field) else "left",
             "sortable": True,
-            "style": "white-space: nowrap" if _is_short(rows, field) else "",
+            # where all cells are short enough for one line, as `10.95 ± 0.30 µm`
+            "style": "white-space: nowrap"
+            if all(len(str(row.get(field, ""))) <= MAX_SHORT_CELL for row in rows)
+            else "",
             ":format": SHOW_DIGITS.format(field=json.dumps(field)),
         }
         for field, label in columns
@@ -228,11 +231,6 @@ def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, 
         made.add_slot("header-selection", CHECKBOX.format(words="'mark all'"))
         made.add_slot("body-selection", CHECKBOX.format(words="'mark ' + props.key"))
     return made.classes("w-full").props("dense flat wrap-cells")
-
-
-def _is_short(rows: list[dict[str, Any]], field: str) -> bool:
-    """Return whether all cells of a column are short enough for one line, as `10.95 ± 0.30 µm`."""
-    return all(len(str(row.get(field, ""))) <= MAX_SHORT_CELL for row in rows)
 
 
 def _is_of_numbers(rows: list[dict[str, Any]], field: str) -> bool:

@@ -9,6 +9,7 @@ import pytest
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.patterns import OddSample, find_innocent_samples
 from parallel_cal.effects.encoder_gain import EncoderGain
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
@@ -50,7 +51,7 @@ def test_effects_may_be_added_together_if_they_may_be_added_one_after_the_other(
     """Next to the residuals of the geometry, which contain the gains, an effect of the device
     explains more than the spools; next to the gains it does not."""
     model, data = hexapod
-    first = add(model, "encoder_gain", data)
+    first = fitted(model, data, effects=["encoder_gain"])
     then = add(first.model, "spool_buildup", data)
     both = add(model, "encoder_gain+spool_buildup", data)
     assert held_out(both.result) == pytest.approx(held_out(then.result), rel=0.02)
@@ -98,7 +99,7 @@ def test_a_knocked_sample_with_which_no_plausible_effect_fits_is_excluded_by_add
     assert held_out(step.result) == pytest.approx(held_out(alone.result), rel=1e-6)
 
 
-@pytest.mark.parametrize("sample", [5, 30])
+@pytest.mark.parametrize("sample", [5, pytest.param(30, marks=pytest.mark.wide)])
 def test_a_sample_that_hides_a_part_of_the_error_is_excluded_by_diagnose_as_by_add(sample):
     """Nobody recorded the temperature, so that the backlash explains a part only."""
     model = read_model(FINE)
@@ -111,6 +112,18 @@ def test_a_sample_that_hides_a_part_of_the_error_is_excluded_by_diagnose_as_by_a
     assert held_out(found.best.fitted) == pytest.approx(held_out(step.result), rel=1e-6)
     every = add(model, found.addition.text, data)
     assert list(every.knocked) == sorted(one.sample for one in found.knocked)
+
+
+def test_what_only_another_model_took_for_knocked_is_taken_back():
+    """Of a sample without sides, a model predicts nothing."""
+
+    def odd(sample, **what):
+        what = {"outlier": False, "sideless": False} | what
+        shape = {"cooks_distance": 0.1, "leverage": 0.1, "position_error": np.zeros(3)}
+        return OddSample(sample, 0.0, 1.0, 1.0, place=np.zeros(3), **shape, **what)
+
+    far = [odd(3, outlier=True), odd(5), odd(7, sideless=True)]
+    assert find_innocent_samples(far, [3, 5, 7, 9]) == {5, 9}
 
 
 def test_the_next_command_excludes_the_samples_that_the_owner_excluded():

@@ -120,6 +120,15 @@ def test_a_scale_of_the_device_that_the_samples_do_not_separate_from_the_robot_i
     assert explain_unseparated_device(bent.rival, bent.result) == ""
 
 
+def test_what_is_certain_among_all_causes_is_not_doubted(monkeypatch):
+    """However well a device alone would imitate it: others, not added yet, leave it no room."""
+    base = fit(new_model("delta54"), measured(3, effects=[vr.Backlash((2e-3,) * 3)]), hold_out=0)
+    scene = Scene.of(base.model, base.dataset, base.observations, base.free)
+    monkeypatch.setattr("parallel_cal.diagnosis.device._compute_probability", lambda *_: 1.0)
+    chosen = [candidate(scene, name) for name in ("backlash", "encoder_eccentricity")]
+    assert find_doubtful_effects(scene, chosen) == ["encoder_eccentricity"]
+
+
 def test_an_effect_that_the_device_may_cause_is_added_only_with_force(refracted):
     with pytest.raises(FitError, match="the measuring device may cause"):
         add(new_model("delta54"), "encoder_eccentricity", refracted)

@@ -5,6 +5,7 @@ import pickle
 import sys
 import tracemalloc
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import casadi as ca
 import catalogue_sessions as cs
@@ -31,6 +32,7 @@ from parallel_cal.discovery.formula import Factor, Formula, Term, build_columns
 from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
 from parallel_cal.discovery.parts import find_parts
 from parallel_cal.discovery.places import Site, list_places, list_sites
+from parallel_cal.discovery.proof import _find_objection
 from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
 from parallel_cal.discovery.search import (
     find_rival,
@@ -824,6 +826,12 @@ def test_the_form_of_a_law_is_chosen_anew_without_the_held_out_poses(scene):
     assert chance.ratio < 0.01
     assert chance.ratio_anew == pytest.approx(1.0, abs=0.02)
     assert not chance.is_clear
+    winner = SimpleNamespace(formula=law, equal=(), rival=None, excludes_device=False)
+    added = SimpleNamespace(acceptance=SimpleNamespace(against="", device_may_err=False))
+    assert _find_objection(winner, choice, added, "law") == ("", False)
+    against, device_may_err = _find_objection(winner, chance, added, "law")
+    assert against.startswith("if its form and its constants are chosen without the held-out poses")
+    assert not device_may_err
 
 
 def test_a_scanned_constant_makes_a_formula_less_simple_than_a_line(scene):

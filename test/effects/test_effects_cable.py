@@ -197,7 +197,7 @@ def test_the_effect_is_found_and_brings_held_out_poses_to_the_noise(name):
     assert sigma < truth / 5
     low, high = chi2_band(found.estimate.dof)
     assert low < found.estimate.chi2_per_dof < high
-    before, after = (f.document()["held_out"]["after"]["position_rms"] for f in (plain, found))
+    before, after = (f.held_out.summary.position_rms for f in (plain, found))
     assert after < 1.15 * found.noise_floor.position_rms
     assert before > 1.5 * after
 

@@ -623,11 +623,10 @@ def test_a_hidden_effect_is_found_with_its_size_and_the_held_out_error_falls(cas
         assert abs(found.model.value(full) - planted) < 4 * sigma[full], full
     low, high = chi2_band(found.estimate.dof)
     assert low < found.estimate.chi2_per_dof < high
-    document, before = found.document(), without.document()["held_out"]["after"]
-    assert document["unidentifiable"] == []
-    floor = document["noise_floor"]["position_rms"]
-    assert document["held_out"]["after"]["position_rms"] < 1.25 * floor
-    assert before["position_rms"] > document["held_out"]["after"]["position_rms"]
+    assert not found.estimate.spectrum.unidentifiable
+    before, after = (one.held_out.summary.position_rms for one in (without, found))
+    assert after < 1.25 * found.noise_floor.position_rms
+    assert before > after
 
 
 @pytest.mark.wide
@@ -670,7 +669,7 @@ def test_a_third_session_needs_its_own_shift_freed():
         for part, planted in (("since1", shift), ("since2", 0.0)):
             full = f"zero_shift.{joint}.{part}"
             assert abs(found.model.value(full) - planted) < 4 * sigma[full]
-    assert found.document()["unidentifiable"] == []
+    assert not found.estimate.spectrum.unidentifiable
 
 
 def test_a_ratio_between_two_of_a_scan_keeps_nine_tenths_of_its_ripple():

@@ -490,8 +490,7 @@ def test_the_hidden_effect_is_found_within_its_sigma_and_predicts_held_out_poses
     assert np.max(np.abs(found) / seen) > 5
     low, high = chi2_band(result.estimate.dof)
     assert low < result.estimate.chi2_per_dof < high
-    held = result.document()["held_out"]["after"]["position_rms"]
-    assert held < 1.25 * result.document()["noise_floor"]["position_rms"]
+    assert result.held_out.summary.position_rms < 1.25 * result.noise_floor.position_rms
     without = fit(model.without_effect(case.effect), data, hold_out=0)
     assert without.estimate.chi2_per_dof > chi2_band(without.estimate.dof)[1]
 
@@ -546,11 +545,12 @@ def test_parallelogram_errors_bring_a_tilting_platform_down_to_the_noise():
     data = session(6)
     small = fit(new_model("delta24"), data)
     large = fit(small.model.with_effect("parallelogram_errors"), data)
-    before, after = (fitted.document()["held_out"]["after"] for fitted in (small, large))
-    floor = large.document()["noise_floor"]
-    assert before["orientation_rms"] > 1.5 * floor["orientation_rms"]
+    before, after = small.held_out.summary, large.held_out.summary
+    floor = large.noise_floor
+    assert before.orientation_rms > 1.5 * floor.orientation_rms
     for kind in ("position_rms", "orientation_rms"):
-        assert after[kind] < 1.2 * floor[kind] < 1.2 * before[kind]
+        seen, noise, better = (getattr(found, kind) for found in (before, floor, after))
+        assert better < 1.2 * noise < 1.2 * seen
 
 
 def test_a_larger_model_is_left_by_its_older_file_and_the_error_says_so():

@@ -17,6 +17,7 @@ import virtual_printer as vp
 from parallel_cal.base.errors import ModelError, ParallelCalError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export, export_into
+from parallel_cal.exporting.heights import BedHeights
 from parallel_cal.identification.fit import fit
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.touch_samples import Touches, touches_in
@@ -264,6 +265,12 @@ def worse(folder):
     radius = model.table.matching(["*.D_x"])
     model = model.with_values(model.values + 0.5e-3 * radius)
     return model, file, dataset, np.column_stack([x, y, np.full(25, 0.01 + TRIGGER)])
+
+
+def test_a_bed_is_worse_if_its_heights_rise_by_more_than_the_digits_of_a_file_round():
+    assert BedHeights(25, before=10e-6, after=10.2e-6).worse
+    assert not BedHeights(25, before=10e-6, after=10.05e-6).worse
+    assert not BedHeights(25, before=None, after=1e-3).worse
 
 
 @pytest.mark.wide

@@ -242,9 +242,9 @@ def test_adding_the_right_effect_brings_held_out_errors_down_to_noise(effect, hi
     within = fit(new_model("delta54").with_effect(effect), data)
     assert without.estimate.chi2_per_dof > chi2_band(without.estimate.dof)[1]
     assert within.estimate.chi2_per_dof < chi2_band(within.estimate.dof)[1]
-    a, b = without.document()["held_out"]["after"], within.document()["held_out"]["after"]
-    assert b["position_rms"] < a["position_rms"]
-    assert b["position_rms"] < 1.15 * within.document()["noise_floor"]["position_rms"]
+    before, after = (f.held_out.summary.position_rms for f in (without, within))
+    assert after < before
+    assert after < 1.15 * within.noise_floor.position_rms
 
 
 def test_backlash_comes_out_with_its_size_and_sign():

@@ -362,33 +362,42 @@ def about_rotated_axes(data):
     return replace(data, R=Rotation.from_euler("XYZ", angles).as_matrix())
 
 
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (
-            lambda d: replace(d, q=exchanged(d.q)),
-            "leg3, leg4 are in the columns of leg4, leg3: the errors are",
-        ),
-        (lambda d: replace(d, q=d.q[:, ::-1]), "are in the columns of leg"),
-        (
-            lambda d: replace(d, q=d.q * [1, 1, -1, 1, 1, 1]),
-            "leg3 has the other sign (column map: leg3: {column: ..., factor: -1})",
-        ),
-        (turned_around, "the rotations are those of the device seen by the target"),
-        (lambda d: replace(d, r=10 * d.r), "the positions are in mm, not cm (column map: unit)"),
-    ],
-)
-@pytest.mark.parametrize("elsewhere", [False, True])
-def test_what_was_meant_is_named_if_it_fits_the_poses(spoil, words, elsewhere):
-    """Also where the device stands anywhere."""
+SPOILT = {
+    "exchanged": (
+        lambda d: replace(d, q=exchanged(d.q)),
+        "leg3, leg4 are in the columns of leg4, leg3: the errors are",
+    ),
+    "reversed": (lambda d: replace(d, q=d.q[:, ::-1]), "are in the columns of leg"),
+    "sign": (
+        lambda d: replace(d, q=d.q * [1, 1, -1, 1, 1, 1]),
+        "leg3 has the other sign (column map: leg3: {column: ..., factor: -1})",
+    ),
+    "turned": (turned_around, "the rotations are those of the device seen by the target"),
+    "unit": (
+        lambda d: replace(d, r=10 * d.r),
+        "the positions are in mm, not cm (column map: unit)",
+    ),
+}
+
+
+def seen_from(elsewhere):
+    """Sound samples of a device at the robot's base, or of one that stands anywhere."""
     data = legs(offset=0.01)
-    if elsewhere:
-        F, f = vr.turn(np.array([0.3, -0.2, 1.9])), np.array([0.8, -0.4, 0.2])
-        data = replace(data, r=data.r @ F.T + f, R=F @ data.R, frame="tracker")
-    doubtful = replace(stewart((-0.4, 0.4)), noise=NOISE)
-    fit(doubtful, data, hold_out=0)
+    F, f = vr.turn(np.array([0.3, -0.2, 1.9])), np.array([0.8, -0.4, 0.2])
+    return replace(data, r=data.r @ F.T + f, R=F @ data.R, frame="tracker") if elsewhere else data
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_sound_samples_are_fitted_wherever_the_device_stands(elsewhere):
+    fit(replace(stewart((-0.4, 0.4)), noise=NOISE), seen_from(elsewhere), hold_out=0)
+
+
+@pytest.mark.parametrize("what", SPOILT)
+@pytest.mark.parametrize("elsewhere", [pytest.param(False, marks=pytest.mark.wide), True])
+def test_what_was_meant_is_named_if_it_fits_the_poses(what, elsewhere):
+    spoil, words = SPOILT[what]
     with pytest.raises(FitError, match=re.escape(words)) as refused:
-        fit(doubtful, spoil(data))
+        fit(replace(stewart((-0.4, 0.4)), noise=NOISE), spoil(seen_from(elsewhere)))
     assert str(refused.value).startswith("legs.csv: the joint readings do not fit")
 
 

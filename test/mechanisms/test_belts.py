@@ -88,8 +88,8 @@ def z_scores(machine, seed):
     free = sigma > 0
     off = estimate - placed(true, DRAWN[machine], ORDER[machine])
     np.testing.assert_allclose(off[~free], 0, atol=1e-9)
-    held = found.document()["held_out"]
-    return off[free] / sigma[free], held["before"]["joint_rms"], held["after"]["joint_rms"]
+    before, after = (e.summary.joint_rms for e in (found.held_out_before, found.held_out))
+    return off[free] / sigma[free], before, after
 
 
 def test_two_lines_that_are_too_long_disagree_by_what_least_squares_leave():

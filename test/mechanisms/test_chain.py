@@ -373,9 +373,9 @@ def test_a_robot_of_the_shelf_as_a_chain_has_the_same_fit(name):
     shelf, chain = pair(name)
     data = session_of(shelf, name)
     one, other = (pc.fit(model, data) for model in (shelf, chain))
-    first, second = one.document(), other.document()
-    assert second["rank"] == first["rank"]
-    assert second["chi2_per_dof"] == pytest.approx(first["chi2_per_dof"], rel=1e-5)
+    first, second = one.estimate, other.estimate
+    assert second.spectrum.rank == first.spectrum.rank
+    assert second.chi2_per_dof == pytest.approx(first.chi2_per_dof, rel=1e-5)
     rng, m = np.random.default_rng(6), shelf.mechanism
     q = np.array(m.home.joints) + 0.1 * np.minimum(m.joint_ranges, 1) * rng.uniform(
         -1, 1, (50, len(m.joints))
@@ -427,7 +427,7 @@ def test_a_mechanism_of_ones_own_with_passive_coordinates_is_solved_and_fitted()
     true = model.with_values(model.values + [1e-4, -2e-4, 3e-4, 1e-4])
     found = pc.fit(model, pc.simulate(true, 30, seed=1).dataset())
     assert found.model.values == pytest.approx(true.values, abs=3e-6)
-    assert found.document()["chi2_per_dof"] == pytest.approx(1, abs=0.4)
+    assert found.estimate.chi2_per_dof == pytest.approx(1, abs=0.4)
 
 
 def test_a_home_without_passive_coordinates_is_refused():

@@ -33,13 +33,12 @@ def test_file_bag_samples_and_fit_work_with(name, tmp_path):
     joints = stated_noise(model).joint  # a robot may have joints in rad and in m
     model = replace(model, noise=replace(model.noise, joint=joints))
     result = fit(model, data, prior=prior)
-    document = result.document()
-    assert document["samples"] == 68
+    assert result.samples == 68
     low, high = chi2_band(result.estimate.dof)
     assert 0.9 * low < result.estimate.chi2_per_dof < 1.1 * high
-    held, floor = document["held_out"]["after"], document["noise_floor"]
     for kind in ("position_rms", "orientation_rms"):
-        assert held[kind] < 1.5 * floor[kind]
+        held, floor = (getattr(e, kind) for e in (result.held_out.summary, result.noise_floor))
+        assert held < 1.5 * floor
 
 
 USERS = """

@@ -179,9 +179,8 @@ def test_base_and_platform_need_one_point_each_for_every_leg():
 @pytest.mark.parametrize(("legs", "share"), [(7, 1 / 2), (8, 1 / 3)])
 def test_the_lengths_of_the_legs_calibrate_the_robot_without_a_device(legs, share):
     found = identified(legs, 0)
-    held = found.document()["held_out"]
-    assert held["before"]["joint_rms"] > 20 * SIGMA
-    assert held["after"]["joint_rms"] < 1.4 * SIGMA * np.sqrt(legs - 6)
+    assert found.held_out_before.summary.joint_rms > 20 * SIGMA
+    assert found.held_out.summary.joint_rms < 1.4 * SIGMA * np.sqrt(legs - 6)
     before, after = (position_error(m, legs, 0) for m in (drawn(legs), found.model))
     assert after < share * before
 

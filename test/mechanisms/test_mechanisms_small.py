@@ -791,7 +791,7 @@ def test_heights_measured_at_a_planar_cable_robot_do_not_change_the_fit(lines):
     found = fit(new_model(mechanism), data)
     low, high = chi2_band(found.estimate.dof)
     assert low < found.estimate.chi2_per_dof < high
-    assert found.document()["held_out"]["after"]["position_rms"] < 0.3e-3
+    assert found.held_out.summary.position_rms < 0.3e-3
     assert found.model.value("spool1.R") == pytest.approx(0.0752, abs=3e-5)
 
 

@@ -100,8 +100,8 @@ def test_anchors_are_found_within_their_sigmas(crane):
         sigma = result.estimate.sigma[table.index_of(name)]
         assert abs(result.model.value(name) - true) < 4 * sigma
         assert sigma < 12e-3
-    held = result.document()["held_out"]
-    assert held["after"]["position_rms"] < 1.3 * SIGMA * np.sqrt(3) < held["before"]["position_rms"]
+    before, after = (e.summary.position_rms for e in (result.held_out_before, result.held_out))
+    assert after < 1.3 * SIGMA * np.sqrt(3) < before
 
 
 @pytest.mark.wide

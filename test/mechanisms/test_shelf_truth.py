@@ -111,12 +111,11 @@ EACH = [n if n in QUICK else pytest.param(n, marks=pytest.mark.wide) for n in TW
 def test_a_fit_to_the_twins_measurements_ends_at_the_noise_floor_at_poses_not_seen(name):
     session = record(name)
     result = fit(session.model, session.data)
-    document = result.document()
     low, high = chi2_band(result.estimate.dof)
     assert 0.9 * low < result.estimate.chi2_per_dof < 1.1 * high
-    held, floor = document["held_out"]["after"], document["noise_floor"]
     for kind in ("position_rms", "orientation_rms"):
-        assert held[kind] < 1.2 * floor[kind]
+        held, floor = (getattr(e, kind) for e in (result.held_out.summary, result.noise_floor))
+        assert held < 1.2 * floor
     before, after = misses(session.model, session.unseen), misses(result.model, session.unseen)
     # The truth has no noise: the model predicts better than one measurement of 0.1 mm.
     assert after[0] < min(POSITION, before[0])

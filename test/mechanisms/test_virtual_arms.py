@@ -47,7 +47,7 @@ def test_an_arm_is_identified_down_to_the_noise_with_nothing_fixed_by_hand(kind,
     unseen = compare(result.model, fresh, joint_sigma=1e-5).errors.summary
     assert unseen.position_rms < 30e-6
     if not pose:  # the last joint's own frame is not seen by a target on it
-        assert len(result.document()["unidentifiable"]) == 3
+        assert len(result.estimate.spectrum.unidentifiable) == 3
 
 
 def test_positions_alone_ask_for_no_inverse_problem(monkeypatch):
@@ -139,7 +139,7 @@ def test_a_tracker_that_stands_anywhere_is_registered_and_reported(kind, pose, f
     assert 0.3e-3 < before.errors.summary.position_rms < 4e-3  # the robot's own, no more
     where = before.registration
     assert where.description in before.dataset.warnings
-    assert before.document()["registration"]["frame"] == (frame or "device")
+    assert where.frame == (frame or "device")
     assert np.abs(np.array(where.position) - va.FAR_AWAY.shift).max() < 20e-3
     turned = rotation_vector(quaternion_to_matrix(where.quaternion))
     assert np.abs(turned - va.FAR_AWAY.turned).max() < 20e-3
@@ -153,10 +153,10 @@ def test_a_tracker_that_stands_anywhere_is_registered_and_reported(kind, pose, f
         )
         == 1
     )
-    assert result.document()["registration"]["base"] == "base"
+    assert result.registration.base == "base"
     assert result.held_out.summary.position_rms < 1.15 * result.noise_floor.position_rms
     # Nothing of the frames that the robot's own numbers say already is left free to run.
-    assert len(result.document()["unidentifiable"]) == (0 if pose else 3)
+    assert len(result.estimate.spectrum.unidentifiable) == (0 if pose else 3)
     moved = (result.model.values - result.model.table.nominal) / result.model.table.tolerance
     assert np.abs(moved).max() < 4
     fresh = seen(va.session(robot, 60, 2, va.FAR_AWAY.exact()), pose, frame)

@@ -38,6 +38,12 @@ def test_a_range_grows_with_its_tolerance():
     assert wide.plausible_range() == pytest.approx((0.0, 5e-3))
 
 
+def test_noise_may_make_the_estimate_of_no_play_slightly_negative():
+    play = Parameter("play", "rad", 0.0, 1e-4, low=0.0, high=1e-3)
+    assert play.plausible_range(2e-5) == pytest.approx((-6e-5, 1.06e-3))
+    assert play.plausible_range(np.nan) == play.plausible_range() == pytest.approx((0.0, 1e-3))
+
+
 def test_a_model_file_says_how_far_this_robot_strays(tmp_path):
     model = new_model("delta54").with_effect("backlash")
     usual = model.table[NAME]

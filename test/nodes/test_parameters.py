@@ -10,6 +10,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from parallel_cal.base.errors import ParallelCalError  # noqa: E402
+from parallel_cal.nodes.calibration_settings import PARAMETERS  # noqa: E402
 from parallel_cal.nodes.parameters import Setting, declare  # noqa: E402
 
 SETTINGS = {
@@ -24,10 +25,10 @@ def make_node():
     context, nodes = Context(), []
     rclpy.init(context=context)
 
-    def make(*given):
+    def make(*given, settings=SETTINGS):
         words = ["--ros-args", *(word for one in given for word in ("-p", one))]
         nodes.append(Node("tester", context=context, cli_args=words, use_global_arguments=False))
-        declare(nodes[-1], SETTINGS)
+        declare(nodes[-1], settings)
         return nodes[-1]
 
     yield make
@@ -59,6 +60,22 @@ def test_an_integer_beyond_the_limits_of_a_float_parameter_is_refused(make_node)
     assert node.get_parameter("share").value == 0.25
     (result,) = node.set_parameters([Parameter("period", Parameter.Type.INTEGER, 1)])
     assert not result.successful  # read at the start only
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("mode:=walk", "auto or dwell or continuous"),
+        ("look_period:=-1.0", "a number from 0.01 to 3600"),
+        ("pose_type:=Pose", "PoseWithCovarianceStamped or PoseStamped"),
+        ("joint_sigma:=.nan", "a number from 0 to 1"),
+    ],
+)
+def test_what_a_calibration_does_not_allow_is_refused_at_the_start(make_node, given, expected):
+    with pytest.raises(ParallelCalError) as refused:
+        make_node(given, settings=PARAMETERS)
+    name = given.partition(":")[0]
+    assert str(refused.value).startswith(f"parameter {name}: expected {expected}: ")
 
 
 @pytest.mark.parametrize("given", ["share:=2", "share:=true", "share:=some", "count:=2.5"])

@@ -179,7 +179,6 @@ def test_an_optimal_set_beats_the_median_random_one_in_every_index(sixteen):
     assert ours.indices.noise_amplification > random.indices.noise_amplification
 
 
-@pytest.mark.wide
 def test_a_plan_is_compared_with_a_random_set_of_median_information(monkeypatch):
     """About as many other random sets of the pool are better than it as are worse."""
     module, views = import_module("parallel_cal.planning.plan"), []
@@ -192,7 +191,7 @@ def test_a_plan_is_compared_with_a_random_set_of_median_information(monkeypatch)
     monkeypatch.setattr(module, "View", SeenView)
     random = plan(noisy(), 16, pool=200, criterion="D").random.indices.log_det
     (view,), rng = views, np.random.default_rng(5)
-    others = [view.expectation(rng.choice(200, 16, replace=False)) for _ in range(200)]
+    others = [view.expectation(rng.choice(200, 16, replace=False)) for _ in range(60)]
     share = np.mean([other.indices.log_det > random for other in others])
     # The median of 21 sets is at 0.5 +- 0.1 of the distribution, the worst of them at 0.95.
     assert 0.2 < share < 0.8

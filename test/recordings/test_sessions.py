@@ -170,7 +170,7 @@ def test_homing_anew_between_two_recordings_is_found(two, tmp_path):
     both = load_sessions([tmp_path / "0.json", tmp_path / "1.json"])
     model = new_model("delta54").with_effect("zero_shift")
     found = fit(model, both, hold_out=0)
-    assert found.document()["unidentifiable"] == []
+    assert not found.estimate.spectrum.unidentifiable
     sigma = dict(zip(found.model.table.names, found.estimate.sigma, strict=True))
     for joint, shift in zip(JOINTS, (1e-3, 0.0, 0.0), strict=True):
         full = f"zero_shift.{joint}.since1"

@@ -58,7 +58,7 @@ def test_an_angle_of_a_passive_joint_is_within_half_a_turn_of_home():
 def test_a_fit_uses_the_encoder_and_ends_at_the_noise():
     true = off_the_drawing(with_encoder(sigma=1e-5))
     found = pc.fit(with_encoder(sigma=1e-5), pc.simulate(true, 40, seed=1).dataset())
-    assert found.document()["chi2_per_dof"] == pytest.approx(1, abs=0.4)
+    assert found.estimate.chi2_per_dof == pytest.approx(1, abs=0.4)
     assert found.model.value(ZERO) == pytest.approx(true.value(ZERO), abs=3e-4)
     unseen = pc.simulate(true, 30, seed=2).dataset()
     before, after = (

@@ -337,14 +337,13 @@ def turned_home(mechanism):
 @pytest.mark.wide
 def test_argos_without_device_frames_is_not_found_and_with_them_it_is(misaligned_argos):
     data = misaligned_argos
-    plain = fit(turned_home("argos9"), data, prior=True).document()
-    assert plain["chi2_per_dof"] > 100
+    plain = fit(turned_home("argos9"), data, prior=True)
+    assert plain.estimate.chi2_per_dof > 100
     result = fit(new_model("argos9", sensors=[argos_frames(True)]), data, prior=True)
-    document = result.document()
-    held_out, floor = document["held_out"]["after"], document["noise_floor"]
-    assert document["before"]["orientation_mean"] > 0.02
-    assert held_out["orientation_mean"] < 1.2 * floor["orientation_mean"]
-    assert held_out["joint_mean"] < 1.2 * floor["joint_mean"]
+    held_out, floor = result.held_out.summary, result.noise_floor
+    assert result.before.summary.orientation_mean > 0.02
+    assert held_out.orientation_mean < 1.2 * floor.orientation_mean
+    assert held_out.joint_mean < 1.2 * floor.joint_mean
 
 
 @pytest.mark.wide
@@ -372,11 +371,11 @@ def test_a_spatial_argos_with_arbitrary_frames_has_42_parameters(gimbal, free, r
     data = argos_session(device, n=60, spherical=False)
     model = new_model("argos27", va.TABLE_5_21, sensors=[argos_frames(gimbal)])
     result = fit(model, data, prior=True)
-    document = result.document()
     assert result.free.sum() == free
     assert result.estimate.spectrum.rank == rank
     for kind in ("position_mean", "orientation_mean"):
-        assert document["held_out"]["after"][kind] < 1.25 * document["noise_floor"][kind]
+        held, floor = (getattr(e, kind) for e in (result.held_out.summary, result.noise_floor))
+        assert held < 1.25 * floor
 
 
 def delta_seen(device, seed=3):
@@ -403,13 +402,10 @@ def beside():
 def test_a_tracker_beside_the_delta_is_found_together_with_the_robot():
     data = delta_seen(BESIDE)
     result = fit(new_model("delta24", sensors=[beside()]), data, prior=True)
-    document = result.document()
-    assert document["before"]["position_mean"] > 1e-3
-    assert (
-        document["held_out"]["after"]["position_mean"]
-        < 1.2 * document["noise_floor"]["position_mean"]
-    )
-    assert document["held_out"]["after"]["joint_mean"] < 1.2 * document["noise_floor"]["joint_mean"]
+    held_out, floor = result.held_out.summary, result.noise_floor
+    assert result.before.summary.position_mean > 1e-3
+    assert held_out.position_mean < 1.2 * floor.position_mean
+    assert held_out.joint_mean < 1.2 * floor.joint_mean
 
 
 def test_where_a_tracker_stands_and_where_model_24_stands_are_one_and_the_same():

@@ -106,9 +106,16 @@ def package(
         file: c.fill_template(folder.joinpath(template).read_text(encoding="utf-8"), words)
         for file, template in templates.items()
     }
+    # Joints, position, rotation, Jacobian and its inverse, row by row
+    parts = [found.joints, found.position, found.rotation, *jacobians(model, found)]
+    rows = np.hstack([np.reshape(part, (len(found.joints), -1)) for part in parts])
+    names = [*model.joints, *"xyz", *(f"R{i}{j}" for i in "123" for j in "123")]
+    names += [f"d_{c}_d_{joint}" for c in COORDINATES for joint in model.joints]
+    names += [f"d_{joint}_d_{c}" for joint in model.joints for c in COORDINATES]
+    table = [",".join(names), *(",".join(map(repr, row)) for row in rows.tolist())]
     return written | {
         f"{include}/{robot}.hpp": made[f"{robot}.hpp"],
-        "test/configurations.csv": _format_table(model, found),
+        "test/configurations.csv": "\n".join([*table, ""]),
     }
 
 
@@ -190,13 +197,3 @@ def jacobians(model: Model, found: Solutions) -> tuple[np.ndarray, np.ndarray]:
     slopes = (-np.linalg.pinv(C[:, :, unknown]) @ C[:, :, given])[:, :n]
     inverse[:, :, m.controlled] = slopes * scale[given] / scale[:n][:, None]
     return forward, inverse
-
-
-def _format_table(model: Model, found: Solutions) -> str:
-    """Format joints, position, rotation, Jacobian and its inverse, row by row."""
-    parts = [found.joints, found.position, found.rotation, *jacobians(model, found)]
-    rows = np.hstack([np.reshape(part, (len(found.joints), -1)) for part in parts])
-    names = [*model.joints, *"xyz", *(f"R{i}{j}" for i in "123" for j in "123")]
-    names += [f"d_{c}_d_{joint}" for c in COORDINATES for joint in model.joints]
-    names += [f"d_{joint}_d_{c}" for joint in model.joints for c in COORDINATES]
-    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows.tolist())]) + "\n"

@@ -101,13 +101,18 @@ def files(model: Model, name: str = "") -> dict[str, str]:
         )
     m, tool = model.mechanism, resources(__package__).joinpath("_c", "kins.c")
     factors = [MM if unit == "m" else DEGREE for unit in m.joint_units]
+    recorded = ""  # lines of a comment, if the recording states them
+    for key, unit in (("switches", 1 / MM), ("scale", MM)):
+        if values := getattr(model.mechanism, key, None):
+            name = {"switches": "HOME_OFFSET, in mm", "scale": "SCALE, per mm"}[key]
+            recorded += f" * {name}: {', '.join(f'{v * unit:.10g}' for v in values)}.\n"
     text = c.fill_template(
         tool.read_text(encoding="utf-8"),
         {
             "robot": robot,
             "ROBOT": robot.upper(),
             "factors": ", ".join(map(repr, factors)),
-            "recorded": _recorded(model),
+            "recorded": recorded,
             "turns": str(int(any(i >= 3 for i in m.controlled))),
         },
     )
@@ -116,16 +121,6 @@ def files(model: Model, name: str = "") -> dict[str, str]:
         f"{COMPONENT}/{robot}.c": made[f"{robot}.c"],
         f"{COMPONENT}/{robot}_kins.c": text,
     }
-
-
-def _recorded(model: Model) -> str:
-    """Return lines of a comment: HOME_OFFSET and SCALE of the recording, if they are known."""
-    lines = ""
-    for key, unit in (("switches", 1 / MM), ("scale", MM)):
-        if values := getattr(model.mechanism, key, None):
-            name = {"switches": "HOME_OFFSET, in mm", "scale": "SCALE, per mm"}[key]
-            lines += f" * {name}: {', '.join(f'{v * unit:.10g}' for v in values)}.\n"
-    return lines
 
 
 def settings(paths: Sequence[Path]) -> Settings:
