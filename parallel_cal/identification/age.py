@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,9 +75,7 @@ class Age:
                 try:
                     trusts = tuple(Trust(**one) for one in entry["trusted"])
                     calibrated = float(entry["calibrated"])
-                    for end in (one.until for one in trusts):
-                        if not calibrated <= end < np.inf:
-                            raise ValueError(f"trusted until {end}, calibrated at {calibrated}")
+                    _check_times(calibrated, [one.until for one in trusts])
                 except (KeyError, TypeError, ValueError) as error:
                     raise FitError(
                         f"the age in the history of a model cannot be read ({error}): estimate it "
@@ -88,6 +86,12 @@ class Age:
                 stated = any(one.get("step") == "drift" for one in model.history)
                 return cls(unknown=OUTDATED if stated else UNKNOWN)
         return cls(unknown=UNKNOWN)
+
+
+def _check_times(calibrated: float, ends: Sequence[float]) -> None:
+    for end in ends:
+        if not calibrated <= end < np.inf:
+            raise ValueError(f"trusted until {end}, calibrated at {calibrated}")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from parallel_cal.causes.effects import collect_recorded_values, find_new_parame
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.fleet.jobs import CASADI_LOCK, check_version, reason
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
@@ -89,13 +89,7 @@ def simulate_session(question: Question, one: PlantedEffect) -> tuple[Dataset, f
     geometry &= np.array([p.group != "effect" for p in model.table])
     robot = model.with_values(draw_values(model.table, model.values, geometry, rng))
     has = plant_effect(robot, one, planned, rng)[0] if one.effect else robot
-    q, kinematics = planned.q, Kinematics(has)
-    if has.structure.equations > len(has.mechanism.moves):
-        # The joints of a redundantly actuated robot must be consistent, so they follow from the
-        # poses.
-        pose = Kinematics(robot).direct(q)
-        q = kinematics.inverse(pose.position, pose.rotation, planned.conditions).joints
-    shown = kinematics.direct(q, planned.conditions)
+    q, shown = _solve_true_poses(has, robot, planned)
     without = Kinematics(robot).direct(q, planned.conditions)  # with the same joints
     change = shown.position - without.position
     if not planned.measured[:, :3].any():
@@ -119,6 +113,18 @@ def simulate_session(question: Question, one: PlantedEffect) -> tuple[Dataset, f
         source=planned.source,
     )
     return replace(dataset, sha256=fingerprint(dataset)), rms
+
+
+def _solve_true_poses(has: Model, robot: Model, planned: Dataset) -> tuple[np.ndarray, Solutions]:
+    """Return a robot's joints, and the poses that a device without noise measures.
+
+    The joints of a redundantly actuated robot (more closure equations than degrees of freedom)
+    must be consistent, so they follow from the poses by inverse kinematics."""
+    q, kinematics = planned.q, Kinematics(has)
+    if has.structure.equations > len(has.mechanism.moves):
+        pose = Kinematics(robot).direct(q)
+        q = kinematics.inverse(pose.position, pose.rotation, planned.conditions).joints
+    return q, kinematics.direct(q, planned.conditions)
 
 
 def diagnose_session(question: Question, one: PlantedEffect) -> dict[str, Any]:

@@ -245,15 +245,7 @@ class Bench:
             self.message, self.question, self.table = done.message, done.question, done.table
         except (WorkCancelled, WorkError) as end:
             if self._next is None:
-                self.failed = isinstance(end, WorkError)
-                self.message = str(end) if self.failed else "cancelled"
-                self._refresh_session()
-                if before == self.session.state.number:
-                    self.message += "; the session is unchanged"
-                else:  # the step was completed, only its diagnosis was not
-                    self.message += (
-                        f"; {self.session.state.step} was kept, the diagnosis was not completed"
-                    )
+                self._explain(end, before)
         self._refresh_session()
         # If the diagnosis was cancelled, the preliminary view stays.
         found = load_view(self.session)
@@ -264,6 +256,16 @@ class Bench:
         if follow is not None:
             follow()
         self._mark_changed()
+
+    def _explain(self, end: WorkCancelled | WorkError, before: int) -> None:
+        """Say why a step ended, and what it left of the session, whose state was `before`."""
+        self.failed = isinstance(end, WorkError)
+        self.message = str(end) if self.failed else "cancelled"
+        self._refresh_session()
+        if before == self.session.state.number:
+            self.message += "; the session is unchanged"
+        else:  # the step was completed, only its diagnosis was not
+            self.message += f"; {self.session.state.step} was kept, the diagnosis was not completed"
 
     def _on_progress(self, stage: str, fraction: float, view: dict[str, Any] | None = None) -> None:
         """Show the progress of the step, and its preliminary view."""

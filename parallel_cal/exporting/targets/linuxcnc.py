@@ -104,8 +104,8 @@ def files(model: Model, name: str = "") -> dict[str, str]:
     recorded = ""  # lines of a comment, if the recording states them
     for key, unit in (("switches", 1 / MM), ("scale", MM)):
         if values := getattr(model.mechanism, key, None):
-            name = {"switches": "HOME_OFFSET, in mm", "scale": "SCALE, per mm"}[key]
-            recorded += f" * {name}: {', '.join(f'{v * unit:.10g}' for v in values)}.\n"
+            words = {"switches": "HOME_OFFSET, in mm", "scale": "SCALE, per mm"}[key]
+            recorded += f" * {words}: {', '.join(f'{v * unit:.10g}' for v in values)}.\n"
     text = c.fill_template(
         tool.read_text(encoding="utf-8"),
         {
