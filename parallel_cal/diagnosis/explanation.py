@@ -297,7 +297,7 @@ class Causes:
             effect = load_effect(block.name)
             if drifts and "time" in effect.needs:
                 return False
-            return block.name in likely or (block.tried == 1 and not effect.of_device)
+            return block.name in likely or not (one.is_scanned or effect.of_device)
 
         return posterior, described, _as_effects(filter(is_named, described.chosen))
 

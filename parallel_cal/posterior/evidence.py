@@ -41,6 +41,11 @@ class Choice:
         return float(self.block.log_prior + LOG_WEIGHTS[self.size] - np.log(self.block.tried))
 
     @property
+    def is_scanned(self) -> bool:
+        """Whether numbers of its setting were chosen among others, by the data."""
+        return self.block.tried > 1 and bool(self.block.settings[self.setting])
+
+    @property
     def usual(self) -> np.ndarray:
         """A root (k, m) of the covariance of the parameters of an effect, in tolerances."""
         return float(SIZES[self.size]) * self.block.usual[self.setting]

@@ -13,6 +13,7 @@ from parallel_cal.diagnosis.explanation import Causes
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_effect
+from parallel_cal.posterior.evidence import Choice
 
 LEGS = [f"leg{k}" for k in range(1, 7)]
 LEAD, SIZES = 5.36e-3, 3e-6 * np.array([1.0, -1.1, -1.2, 0.8, 1.0, -1.0])
@@ -93,6 +94,13 @@ def test_equal_parts_may_be_alike():
     between = np.eye(6)[0] - np.eye(6)[1]
     assert between @ alike @ between == pytest.approx(2 * 0.01**2)
     assert block.tried == 2
+    assert not any(Choice(block, setting, 1).is_scanned for setting in range(2))
+
+
+def test_a_number_that_was_scanned_is_told_from_what_needs_none():
+    [block] = list_effect_blocks(scene_with_screws(), ["screw_pitch_error"], {})
+    scanned = [Choice(block, k, 1).is_scanned for k in range(len(block.columns))]
+    assert scanned == [True] * (len(scanned) - 1) + [False]
 
 
 @pytest.mark.parametrize("name", ["hysteresis", "gear_transmission_error"])
