@@ -60,17 +60,18 @@ def list_effect_blocks(
         # About a fitted geometry that is plausible, no number of a drive is grossly wrong.
         if effect.mistaken > 1 and scene.sizes is not None:
             larger.append(effect.mistaken)
-        new = find_new_parameters(scene.model, plain)
+        stated = plain.with_settings(name, settings[0])  # what is stated is no coefficient
+        new = find_new_parameters(scene.model, stated)
         own = np.eye(new.sum())
         roots = [own, *(size * own for size in larger)]
         if effect.alike:
-            roots.append(_share_among_parts(plain, new))
+            roots.append(_share_among_parts(stated, new))
             tried *= 2
         usual = [root for root in roots for _ in each]
         each = [*each, *(one @ root for root in roots[1:] for one in each)]
         settings = len(roots) * settings
         if effect.alone and not known.get(name):
-            apart = own[:, plain.table.matching(f"{name}.{one}" for one in effect.alone)[new]]
+            apart = own[:, stated.table.matching(f"{name}.{one}" for one in effect.alone)[new]]
             each, settings, tried = [*each, each[0] @ apart], [*settings, {}], tried + 1
             usual.append(apart)
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
