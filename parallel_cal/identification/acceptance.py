@@ -17,6 +17,8 @@ from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
+from parallel_cal.identification.recheck import DEVICE_MOVED
+from parallel_cal.identification.recheck import UNCHANGED as NO_DRIFT
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 
 IN_SAMPLE = (
@@ -105,7 +107,9 @@ def acceptance(
     clearly = rise > 0 or fall.mean() > uncertainty
     # A few samples prove a drift by their evidence, which the prior of the last calibration makes
     # precise; at held-out poses they can only contradict it.
-    drifted = old is None and new.drift is not None and new.drift.is_shown
+    drift = new.drift if old is None else None
+    if drift is not None and drift.verdict in (NO_DRIFT, DEVICE_MOVED):
+        return Acceptance(then, now, True, drift.warnings[0])
     risen = dict[str, float]()
     if now.pixel_rms is None and now.position_rms and now.orientation_rms:
         # A mean of both would let one error rise for the fall of the other.
@@ -118,6 +122,7 @@ def acceptance(
     stuck = old is None and bool(total >= (1 - 1e-6) * was)
     if falls and clearly and not (risen or foreign or stuck):
         return Acceptance(then, now, True)
+    drifted = drift is not None and drift.is_shown
     if drifted and fall.mean() > -SIGMAS_AT_SIGNIFICANCE_LEVEL * uncertainty and not foreign:
         return Acceptance(then, now, True)
     if risen:
@@ -129,6 +134,7 @@ def acceptance(
     else:
         verb = "falls" if clearly else "falls by no more than its own uncertainty"
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
+    said = "" if drift is None else f"{drift.warnings[0]}; "
     advice = _advise(new.given) if old is None and not foreign else ""
     if stuck and verb == "falls":
         advice = UNCHANGED
@@ -136,8 +142,8 @@ def acceptance(
         then,
         now,
         True,
-        f"the {' and '.join(risen)}{' ' if risen else ''}error at held-out poses {verb}{change} "
-        f"({format_errors(now, then)}{factor}){advice}{foreign}",
+        f"{said}the {' and '.join(risen)}{' ' if risen else ''}error at held-out poses "
+        f"{verb}{change} ({format_errors(now, then)}{factor}){advice}{foreign}",
     )
 
 

@@ -132,7 +132,7 @@ class FitResult(ShownInNotebook):
         those of the nominal robot; None without a registration.
     drift : Recheck, optional
         Of an update: whether the robot has drifted since its last calibration, and which part; None
-        if nobody stated the noise.
+        if nothing tells it.
     unusual : dict of str to UnusualSize
         Parameters of effects that are larger than usual for the machine's class, by name.
     implausible : str
@@ -543,8 +543,7 @@ def fit(
     dataset = add_registration_warning(dataset, registration)
     drift = None
     if options.update:
-        drift, options = weigh_drift(start, dataset, options)
-        words = () if drift is None else drift.warnings
+        drift, options, words = weigh_drift(start, dataset, options, registration is not None)
         dataset = replace(dataset, warnings=(*dataset.warnings, *words))
     unjudged = fit_unjudged(start, dataset, options, progress, given)
     result = replace(unjudged.judge(progress), drift=drift)
@@ -562,15 +561,23 @@ def fit(
 
 
 def weigh_drift(
-    start: Model, dataset: Dataset, options: FitOptions
-) -> tuple[Recheck | None, FitOptions]:
-    """Return whether the robot drifted, and the options with the prior that follows: the data
-    decide how much each part may have drifted. If nobody stated the noise, the evidence has no
-    size, and the usual drift is the prior."""
+    start: Model, dataset: Dataset, options: FitOptions, placed: bool
+) -> tuple[Recheck | None, FitOptions, tuple[str, ...]]:
+    """Return whether the robot drifted, the options with the prior that follows, and what to say:
+    the data decide how much each part may have drifted. Nothing tells it if nobody stated the
+    noise, or if the samples `placed` the device; then the usual drift is the prior."""
     if observe(start, dataset, options.joint_sigma, options.insist).noise_assumed:
-        return None, replace(options, prior=update_prior(start))
-    found = recheck(start, dataset, options.joint_sigma, options.insist)
-    return found, replace(options, prior=drift_prior(start, found))
+        why = "nobody stated the noise: state it in the model file, or with --joint-sigma"
+    elif placed:
+        why = (
+            "these samples placed the measuring device, and so explain what changed in the whole "
+            "robot alike: measure with the device where it stood at the calibration"
+        )
+    else:
+        found = recheck(start, dataset, options.joint_sigma, options.insist)
+        return found, replace(options, prior=drift_prior(start, found)), found.warnings
+    said = (f"whether the robot has drifted is not known, because {why}",)
+    return None, replace(options, prior=update_prior(start)), said
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from virtual_setups import random_delta
 
 import parallel_cal as pc
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.drift_test import (
     DEVICE,
     SCALES,
@@ -170,3 +171,24 @@ def test_a_session_updates_the_last_calibration_and_counts_its_samples_once(tmp_
     noise = Noise(**session_of.state.weights)
     same = pc.plan(replace(calibrated(), noise=noise), 6, update=True)
     assert rows[-6:] == same.csv().splitlines()[-6:]
+
+
+@pytest.mark.parametrize(
+    ("moved", "said"),
+    [
+        ({}, "the samples show no drift"),
+        ({"shift": (3e-4, 0.0, 0.0)}, "the measuring device or its target moved"),
+    ],
+)
+def test_an_update_writes_no_model_of_a_robot_that_did_not_drift(moved, said):
+    result = pc.fit(calibrated(), session(40, np.random.default_rng(7), **moved), update=True)
+    assert acceptance(result).against.startswith(said)
+
+
+def test_samples_that_place_the_device_say_nothing_about_a_drift():
+    """The same zero that is found by a device that stands where it stood."""
+    moved = session(24, np.random.default_rng(5), zeros=(0.0, 1e-3, 0.0), shift=(0.2, -0.1, 0.05))
+    result = pc.fit(calibrated(), moved, update=True)
+    assert result.registration is not None
+    assert result.drift is None
+    assert any("placed the measuring device" in words for words in result.warnings)
