@@ -53,6 +53,10 @@ class Survey:
         weight = self.row_scale[:, None]
         return phi.ravel() * self.row_scale, weight * J / self.scale, weight * J_p
 
+    def compute_rank(self, x: np.ndarray) -> int:
+        """Compute the number of independent rows at a configuration."""
+        return _rank(self.evaluate(x)[1], self.least_rank)
+
     def close(self, x: np.ndarray, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Change some coordinates (columns of (q, r, w, u)) as little as possible so that all rows
         are zero; return the configuration and what is left of the rows."""

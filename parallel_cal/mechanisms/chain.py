@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -46,6 +47,7 @@ PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
 PREFERENCE = {"zero": 4.0, "length": 4.0} | dict.fromkeys(SHIFTS, 1.0) | dict.fromkeys(TURNS, 0.5)
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
+N_AROUND = 12  # configurations near home that show the motion
 MAX_ROUNDED_M = 1e-6  # of redundant loops that stay open because the file states few digits
 # Of lengths, by which redundant loops of a real robot may be open. Of a spherical wrist, true
 # solutions are open by 2, and other extrema of the squares by more than 20.
@@ -127,7 +129,7 @@ class Chain(Mechanism):
         self.parameters = ParameterTable(self.skeleton.parameters(self._target_rows(), tolerance))
         self._combine: np.ndarray | None = None
         self._by_least_squares = False
-        self._open_at_home: float | None = None  # m; of redundant loops stated with few digits
+        self._open: float | None = None  # m; redundant loops that are stated with few digits
         self._analyse(guess, moves, controls, workspace)
         self.bodies = {"links": [p.name for p in self.parameters if p.unit == "m"]}
 
@@ -315,8 +317,26 @@ class Chain(Mechanism):
             len(self.joints),
             len(self.passive),
             self.length,
-            MAX_ROUNDED_M if self._open_at_home else CLOSED * self.length,
+            CLOSED * self.length if self._open is None else MAX_ROUNDED_M,
         )
+
+    def _explore(self, home: np.ndarray) -> tuple[Survey, np.ndarray]:
+        """Return closed configurations around home, and the survey that found them.
+
+        Redundant loops whose geometry is stated with few digits may close at home and nowhere else,
+        or along few motions. They count as closed where more is closed so, or moves more freely.
+        """
+        survey = self._survey()
+        x = survey.around(home, N_AROUND, self._spread())
+        rounded = replace(survey, closed=MAX_ROUNDED_M)
+        freer = rounded.compute_rank(home) < survey.compute_rank(home)
+        if self._open is not None or (len(x) == N_AROUND and not freer):
+            return survey, x
+        more = rounded.around(home, N_AROUND, self._spread())
+        if len(more) < len(x) + (not freer):
+            return survey, x
+        self._open = max(float(np.abs(rounded.evaluate(one)[0]).max()) for one in more)
+        return rounded, more
 
     def _analyse(
         self,
@@ -330,8 +350,7 @@ class Chain(Mechanism):
         self.moves, self.length = tuple(stated or POSE), self._find_length(guess)
         home = self._close_at_home(self._survey(), guess)
         home = self._hold_idle(home)
-        survey = self._survey()
-        x = survey.around(home, 12, self._spread())
+        survey, x = self._explore(home)
         motion = Motion.of(survey, x, self.moved)
         if stated is None:
             loops = [k for k, owner in enumerate(self._owners()) if owner != PLATFORM]
@@ -367,7 +386,7 @@ class Chain(Mechanism):
         if np.linalg.norm(left) < CLOSED * self.length:
             return x
         if np.linalg.norm(left) < MAX_ROUNDED_M:
-            self._open_at_home = float(np.abs(left).max())
+            self._open = float(np.abs(left).max())
             return x
         open_at_home = self._describe_open(left)
         x, left = survey.close_near(guess, every, limits)
@@ -523,9 +542,9 @@ class Chain(Mechanism):
                 f"{rows - kept} of {rows} rows of the loops depend on the others, as those do that "
                 "leave the plane of a plane mechanism: they are not used"
             )
-        if self._open_at_home is not None:
+        if self._open is not None:
             found.append(
-                f"the loops stay up to {1e6 * self._open_at_home:.2g} um open at home: they are "
+                f"the loops stay up to {1e6 * self._open:.2g} um open: they are "
                 "redundant, and the geometry is stated with few digits"
             )
         if unseen.any():

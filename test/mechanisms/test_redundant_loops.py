@@ -152,3 +152,51 @@ def test_readings_at_which_no_wrist_closes_have_no_solution():
     found = pc.Kinematics(model).direct(far)
     assert not found.ok
     assert found.residual > 1e-3
+
+
+def hinged_wrist(digits):
+    """The wrist with frames in its centre, and each hinge on the platform by two points of it."""
+
+    def numbers(vector):
+        return np.round(vector, digits).tolist()
+
+    joints, loops = [], []
+    for k in LEGS:
+        first, second, third = AXES[k]
+        joints += [
+            revolute(f"motor{k}", "base", f"crank{k}", axis=numbers(first), driven=True),
+            revolute(f"elbow{k}", f"crank{k}", f"link{k}", axis=numbers(second)),
+        ]
+        if k == 0:
+            joints.append(revolute("hinge", "link0", "platform", axis=numbers(third)))
+        for end, far in {"near": 0.1, "far": 0.15}.items() if k else ():
+            at = numbers(far * third)
+            a, b = ({"body": body, "point": at} for body in (f"link{k}", "platform"))
+            loops.append({"name": f"{end}{k}", "type": "point", "a": a, "b": b})
+    options = {"base": "base", "platform": "platform", "target": [0.0, 0.0, 0.1]}
+    return make_chain(options | {"joints": joints, "loops": loops})
+
+
+@pytest.mark.parametrize("digits", [16, 9, 7, 6])
+def test_a_hinge_by_two_points_closes_whatever_the_digits(digits):
+    """Its numbers may cancel at home, or close along one motion only: its coordinates stayed."""
+
+    def turned(axis, angle):
+        return Rotation.from_rotvec(angle * axis)
+
+    def platform(q):
+        def gaps(w):
+            return [
+                turned(first, angle).apply(second) @ Rotation.from_rotvec(w).apply(third)
+                - second @ third
+                for (first, second, third), angle in zip(AXES, q, strict=True)
+            ]
+
+        return Rotation.from_rotvec(least_squares(gaps, np.zeros(3), xtol=1e-15).x)
+
+    model = hinged_wrist(digits)
+    assert model.mechanism.moves == ("x", "y", "z", "rx", "ry", "rz")
+    found = pc.Kinematics(model).direct(READINGS)
+    assert found.ok.all()
+    expected = [platform(q).apply([0.0, 0.0, 0.1]) for q in READINGS]
+    assert found.position == pytest.approx(np.array(expected), abs=max(1e-9, 10.0**-digits))
