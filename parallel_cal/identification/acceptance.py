@@ -125,14 +125,10 @@ def acceptance(
     drifted = drift is not None and drift.is_shown
     if drifted and fall.mean() > -SIGMAS_AT_SIGNIFICANCE_LEVEL * uncertainty and not foreign:
         return Acceptance(then, now, True)
-    if risen:
-        ratio = max(risen.values())
-    if rise or risen:
-        verb = "rises"
-    elif not falls:
-        verb = "does not fall"
-    else:
-        verb = "falls" if clearly else "falls by no more than its own uncertainty"
+    ratio = max(risen.values(), default=ratio)
+    verb = "falls" if clearly else "falls by no more than its own uncertainty"
+    if rise or risen or not falls:
+        verb = "rises" if rise or risen else "does not fall"
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
     said = "" if drift is None else f"{drift.warnings[0]}; "
     advice = _advise(new.given) if old is None and not foreign else ""
