@@ -215,7 +215,7 @@ def test_what_the_firmware_has_no_number_for_is_named(tmp_path):
     remarks = export(model.with_values(values), "maslow", tmp_path).remarks
     assert any("the mounts of the sled are not symmetrical" in each for each in remarks)
     lines = export(new_model("hanging_sled"), "maslow", tmp_path).remarks
-    assert any("no number for the length at reading zero" in each for each in lines)
+    assert any("no number for the length of a chain at reading zero" in each for each in lines)
 
 
 @pytest.mark.parametrize(
@@ -252,3 +252,23 @@ def test_tables_that_cannot_be_are_named(table, message, tmp_path):
         samples("maslow", [written(tmp_path, table, "cuts.csv"), path])
     with pytest.raises(ParallelCalError, match="expected tables"):
         samples("maslow", [path])
+
+
+def test_a_size_that_the_file_does_not_state_is_said(tmp_path):
+    text = "\n".join(line for line in INI.splitlines() if "motoroffsety" not in line.lower())
+    remarks = configured([written(tmp_path, text)]).remarks
+    said = "not stated, so that the default counts: [Maslow Settings] motoroffsety 463 mm"
+    assert [words for words in remarks if "default" in words] == [said]
+    assert not any("default" in words for words in configured([written(tmp_path, INI)]).remarks)
+
+
+def test_an_export_says_by_how_much_each_chain_is_longer(tmp_path):
+    path = written(tmp_path, INI)
+    model = configured([path]).model
+    wrong = {"left.L0": 3 * MM, "right.L0": -1 * MM}
+    values = [
+        value + wrong.get(name, 0.0)
+        for name, value in zip(model.table.names, model.values, strict=True)
+    ]
+    done = export_into(model.with_values(np.array(values)), "maslow", [path])
+    assert any("+2.00 (left) and -2.00 mm (right)" in words for words in done.remarks)

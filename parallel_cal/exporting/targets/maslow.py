@@ -39,11 +39,11 @@ DECIMALS = 4  # of mm, and of percent
 MAX_EQUAL_DIFFERENCE_M = 1e-7  # m; the numbers are written with this digit
 SIDES, SAG = ("left", "right"), "line_sag"
 UNITS = {"left": 0.01, "right": 0.01, "sag": maslow.SAG_UNIT}  # percent; others are in mm
-OFFSETS_LOST = (
-    "it has no number for {}, so what was found is lost: fit --fix 'left.L0' --fix 'right.L0'"
+LONGER = (
+    "it has no number for the length of {} at reading zero: they are {:+.2f} (left) and {:+.2f} mm "
+    "(right) longer than it takes them. Shorten them by this, or compare the error at held-out "
+    "marks with that of fit --fix 'left.L0' --fix 'right.L0'"
 )
-SLACK = "the length at reading zero of a chain that ends at a mount"
-ONE_EACH = "that of one chain alone"
 NOT_ALIKE = (
     "the mounts of the sled are not symmetrical to the line through bit and centre of gravity, but "
     "the firmware takes them so: the loss states what that costs"
@@ -108,8 +108,9 @@ def _on_mounts(model: Model, base: SledChains) -> tuple[Quadrilateral, Sequence[
     mounts = np.array([[model.value(f"{side}.B_{axis}") for axis in "xy"] for side in SIDES])
     sizes = float(np.ptp(mounts[:, 0])), float(mounts[:, 1].mean()), -model.value("sled.G_y")
     remarks = []
-    if any(abs(model.value(f"{side}.L0")) > MAX_EQUAL_DIFFERENCE_M for side in SIDES):
-        remarks.append(OFFSETS_LOST.format(SLACK))
+    longer = np.array([model.value(f"{side}.L0") for side in SIDES])
+    if np.abs(longer).max() > MAX_EQUAL_DIFFERENCE_M:
+        remarks.append(LONGER.format("a chain", *longer / MM))
     skew = mounts[:, 0].sum() - 2 * model.value("sled.G_x"), np.ptp(mounts[:, 1])
     if np.abs(skew).max() > MAX_EQUAL_DIFFERENCE_M:
         remarks.append(NOT_ALIKE)
@@ -119,11 +120,12 @@ def _on_mounts(model: Model, base: SledChains) -> tuple[Quadrilateral, Sequence[
 
 def _on_ring(model: Model, base: SledChains) -> tuple[Triangular, Sequence[str], list[str]]:
     """Return a sled whose chains point to the bit, its numbers to fit, and what they lack."""
-    lengths, sled = [model.value(f"{side}.L0") for side in SIDES], model.mechanism
+    lengths = np.array([model.value(f"{side}.L0") for side in SIDES])
+    sled = model.mechanism
     ring = Triangular(**vars(base), rotation=float(np.mean(lengths)), over=sled.over)  # type: ignore[attr-defined]
     remarks = []
     if np.ptp(lengths) > MAX_EQUAL_DIFFERENCE_M:
-        remarks.append(OFFSETS_LOST.format(ONE_EACH))
+        remarks.append(LONGER.format("one chain", *(lengths - np.mean(lengths)) / MM))
     sags = ("sag",) * any(effect.name == SAG for effect in model.effects)
     return ring, ("spacing", "height", "rotation", *SIDES, *sags), remarks
 

@@ -80,6 +80,7 @@ FIELDS = {
     "left": Field(f"{ADVANCED}leftchaintolerance", "$40", 0.0),
     "right": Field(f"{ADVANCED}rightchaintolerance", "$41", 0.0),
 }
+RING_SIZES, MOUNT_SIZES = ("rotation",), ("width", "above", "below")
 FIRMWARE_ROTATION = 250.0  # mm, the firmware's own default
 WORDS = {  # that GroundControl keeps beside the number which it computed from them
     "kind": (f"{ADVANCED}kinematicstype", ("Quadrilateral", "Triangular")),
@@ -173,9 +174,17 @@ def chains(stated: Settings) -> Triangular | Quadrilateral:
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the machine as configured."""
-    machine = chains(settings(paths))
+    stated = settings(paths)
+    machine = chains(stated)
     ring = isinstance(machine, Triangular)
     remarks = [READINGS.format("bit, less the rotation radius" if ring else "mount")]
+    kind = "setting" if is_of_firmware(stated) else "ini"
+    sizes = {
+        getattr(FIELDS[name], kind): read_number(stated, name)
+        for name in ("sheet", "spacing", "height", *(RING_SIZES if ring else MOUNT_SIZES))
+    }
+    if lacking := [f"{field} {size:g} mm" for field, size in sizes.items() if field not in stated]:
+        remarks.append(f"not stated, so that the default counts: {', '.join(lacking)}")
     if not ring:
         remarks.append(DOUBLE_SINE)
     if abs(machine.radius - FIRMWARE_RADIUS) > 0.02 * MM:
