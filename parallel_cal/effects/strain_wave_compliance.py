@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.effects._statics import (
+    compliances,
     estimate_joint_loads,
     find_loaded_joints,
     joint_forces,
@@ -53,10 +54,7 @@ class StrainWaveCompliance(Effect):
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
             Parameter("torque", "N m", 20.0, 10.0, low=1e-3, label="load at which it stiffens"),
-            *[
-                Parameter(f"{joint}.compliance", "rad/(N m)", 0.0, 1e-3, low=0.0, high=1e-2)
-                for joint in _find_gears(mechanism)
-            ],
+            *compliances(mechanism, _find_gears(mechanism)),
             *masses(mechanism),
         ]
 

@@ -26,6 +26,7 @@ N_FIT_POSES = 400
 N_VALIDATION_POSES = 2000
 BED_POSES = 200  # on the plate that a probe touched, where the first layer is printed
 BED_WEIGHT = 10.0  # weight of a height on that plate; other errors have 1
+MAX_EQUAL_DIFFERENCE_M = 1e-7  # m; the numbers are written with this digit
 EQUAL = 1e-9  # m or rad, between numbers of a firmware that are the same
 STEP = 1e-6  # rad or m, for differences
 MICRO = 1e6  # the fit is in um and urad, so that its tolerances are below any written digit

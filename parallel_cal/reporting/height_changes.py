@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.linearisation import follow_closure
 from parallel_cal.identification.predictions import predict_poses
 
 CHANNEL = "probe"
@@ -54,9 +55,8 @@ class HeightChanges:
             return None
         chosen = used[_spread(reached.position[used, :2])]
         rows, a = reached.configuration.rows[chosen], observations.a[chosen]
-        C, J = model.structure.jacobians(rows, a, model.values)
-        moved = np.linalg.pinv(C[:, :, model.mechanism.dependent_columns])
-        slopes = -(moved @ J)[:, model.mechanism.moves.index("z")].T
+        by_pose = follow_closure(model, *model.structure.jacobians(rows, a, model.values))[0]
+        slopes = by_pose[:, model.mechanism.moves.index("z")].T
         tolerance, units = model.table.tolerance, [p.unit for p in model.table]
         size = np.abs(slopes * tolerance[:, None]).max(axis=1)
         found = dict[str, HeightChange]()

@@ -20,6 +20,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.targets._vectors import vectors
 from parallel_cal.kinematics.branch import MAX_PATH_STEPS, MIN_STEP_FRACTION, PATH_GROWTH
 from parallel_cal.kinematics.newton import NewtonFunctions, newton_functions
+from parallel_cal.kinematics.rows import LIMIT_ROUNDING
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
     MAX_SETTLED_STEP_M,
@@ -38,6 +39,7 @@ PATH_AMPLITUDE = 0.005  # of the example's path, as a share of the mechanism's l
 MAX_POSES = 300_000  # test vectors; each takes a few kB of memory and 1 kB of the file
 SEARCH = {  # words of the templates: limits of the solver and of its search
     "closed": MAX_CLOSED_RESIDUAL_M,
+    "limit_rounding": LIMIT_ROUNDING,
     "settled": MAX_SETTLED_STEP_M,
     "singular": MIN_REGULAR_SINGULAR_VALUE,
     "suspect": SUSPECT_PIVOT,

@@ -20,6 +20,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import ROTARY, describe_unequal_stops, fit_equal_shoulders
 from parallel_cal.exporting.editing import format_number
 from parallel_cal.exporting.projection import (
+    MAX_EQUAL_DIFFERENCE_M,
     Array,
     Firmware,
     Frame,
@@ -53,7 +54,6 @@ HOLDS = (*ROTARY, "cable")
 FILE = "config.yaml"
 DECIMALS = 4  # of mm
 ANGLE_DECIMALS = 6  # of degrees; a position when homed follows from them
-MAX_EQUAL_DIFFERENCE_M = 1e-7  # m; the numbers are written with this digit
 UNEQUAL_ANCHORS = (
     "the anchors differ in y, but FluidNC (read e952f33f) takes both at left_anchor_y when it "
     "computes the position from the motors: reported positions are wrong, moves are right"

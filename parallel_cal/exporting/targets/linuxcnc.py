@@ -102,9 +102,11 @@ def files(model: Model, name: str = "") -> dict[str, str]:
     m, tool = model.mechanism, resources(__package__).joinpath("_c", "kins.c")
     factors = [MM if unit == "m" else DEGREE for unit in m.joint_units]
     recorded = ""  # lines of a comment, if the recording states them
-    for key, unit in (("switches", 1 / MM), ("scale", MM)):
-        if values := getattr(model.mechanism, key, None):
-            words = {"switches": "HOME_OFFSET, in mm", "scale": "SCALE, per mm"}[key]
+    for words, key, unit in (
+        ("HOME_OFFSET, in mm", "switches", 1 / MM),
+        ("SCALE, per mm", "scale", MM),
+    ):
+        if values := getattr(m, key, None):
             recorded += f" * {words}: {', '.join(f'{v * unit:.10g}' for v in values)}.\n"
     text = c.fill_template(
         tool.read_text(encoding="utf-8"),

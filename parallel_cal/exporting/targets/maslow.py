@@ -20,6 +20,7 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.base.units import MM
 from parallel_cal.exporting.editing import format_number
 from parallel_cal.exporting.projection import (
+    MAX_EQUAL_DIFFERENCE_M,
     Array,
     Firmware,
     Frame,
@@ -36,7 +37,6 @@ from parallel_cal.model.model import Model
 HOLDS = ("hanging_sled",)
 INI, LIST = "groundcontrol.ini", "settings.txt"
 DECIMALS = 4  # of mm, and of percent
-MAX_EQUAL_DIFFERENCE_M = 1e-7  # m; the numbers are written with this digit
 SIDES, SAG = ("left", "right"), "line_sag"
 UNITS = {"left": 0.01, "right": 0.01, "sag": maslow.SAG_UNIT}  # percent; others are in mm
 LONGER = (

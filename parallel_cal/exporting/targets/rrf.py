@@ -26,6 +26,7 @@ from parallel_cal.exporting.deltas import (
 )
 from parallel_cal.exporting.height_map import HeightMap
 from parallel_cal.exporting.projection import (
+    MAX_EQUAL_DIFFERENCE_M,
     Firmware,
     Frame,
     Machine,
@@ -44,7 +45,6 @@ from parallel_cal.model.model import Model
 HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")
 FILE, HEIGHT_MAP = "config.g", "heightmap.csv"
 TEETH = 20  # of a motor's gear, if they give the ratio
-MAX_EQUAL_DIFFERENCE_M = 1e-7  # m; the numbers are written with this digit
 EQUAL_ARMS = "the arms differ, but M669 U has one length for all: " + rrf.UNEQUAL_ARMS
 MIN_BUILDUP_M = 2e-6  # m; the firmware divides by it, and rounding hides a smaller one
 

@@ -27,6 +27,7 @@
 #define EFFECTS @effects@
 #define CLOSED @closed@     /* m: a closure below this is a solution */
 #define SETTLED @settled@   /* m: a last step below this leaves no error */
+#define LIMIT_ROUNDING @limit_rounding@ /* rad or m, that a solution may be wrong */
 #define SMALL @singular@    /* smallest scaled singular value of a regular configuration */
 #define SUSPECT @suspect@   /* a pivot below this asks for that value */
 #define ITERATIONS 2 /* of third order; twice, where the first do not arrive */
@@ -261,7 +262,7 @@ static int short_step(const double *here, const double *there)
 /* A machine that was homed stands exactly at its limits: rounding must not put solved joints outside. */
 static int within_limits(int problem, int joint, double q)
 {
-    double rounding = problem == INVERSE ? 1e-9 : 0;
+    double rounding = problem == INVERSE ? LIMIT_ROUNDING : 0;
     return @robot@_joint_low[joint] - rounding <= q && q <= @robot@_joint_high[joint] + rounding;
 }
 
