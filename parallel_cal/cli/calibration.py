@@ -187,9 +187,11 @@ def _write_refit(step: Step, run: _Run, wrong: Sequence[int]) -> tuple[str, bool
 
 def _say_what_follows(step: Step, model: Path) -> str:
     """Say what to do after a command without -o."""
+    from parallel_cal.identification.recheck import UNDECIDED
+
     drift = step.result.drift
     if drift is not None and not drift.is_shown:
-        decided = drift.verdict != "undecided"
+        decided = drift.verdict != UNDECIDED
         more = "" if decided else "measure more of the planned poses; until then, "
         return f"{more}keep {model}"
     return "the same command with -o FILE, which writes the model"

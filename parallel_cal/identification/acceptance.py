@@ -17,8 +17,6 @@ from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
-from parallel_cal.identification.recheck import DEVICE_MOVED
-from parallel_cal.identification.recheck import UNCHANGED as NO_DRIFT
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 
 IN_SAMPLE = (
@@ -108,7 +106,7 @@ def acceptance(
     # A few samples prove a drift by their evidence, which the prior of the last calibration makes
     # precise; at held-out poses they can only contradict it.
     drift = new.drift if old is None else None
-    if drift is not None and drift.verdict in (NO_DRIFT, DEVICE_MOVED):
+    if drift is not None and drift.is_robot_unchanged:
         return Acceptance(then, now, True, drift.warnings[0])
     risen = dict[str, float]()
     if now.pixel_rms is None and now.position_rms and now.orientation_rms:
@@ -126,9 +124,7 @@ def acceptance(
     if drifted and fall.mean() > -SIGMAS_AT_SIGNIFICANCE_LEVEL * uncertainty and not foreign:
         return Acceptance(then, now, True)
     ratio = max(risen.values(), default=ratio)
-    verb = "falls" if clearly else "falls by no more than its own uncertainty"
-    if rise or risen or not falls:
-        verb = "rises" if rise or risen else "does not fall"
+    verb = _describe_fall(bool(rise or risen), falls, clearly)
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
     said = "" if drift is None else f"{drift.warnings[0]}; "
     advice = _advise(new.given) if old is None and not foreign else ""
@@ -141,6 +137,15 @@ def acceptance(
         f"{said}the {' and '.join(risen)}{' ' if risen else ''}error at held-out poses "
         f"{verb}{change} ({format_errors(now, then)}{factor}){advice}{foreign}",
     )
+
+
+def _describe_fall(rises: bool, falls: bool, clearly: bool) -> str:
+    """Say how an error at held-out poses changes."""
+    if rises:
+        return "rises"
+    if not falls:
+        return "does not fall"
+    return "falls" if clearly else "falls by no more than its own uncertainty"
 
 
 def _advise(given: GivenModel) -> str:

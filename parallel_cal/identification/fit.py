@@ -69,7 +69,7 @@ from parallel_cal.identification.prediction_errors import (
     improvement,
 )
 from parallel_cal.identification.predictions import predict_positions
-from parallel_cal.identification.recheck import Recheck, drift_prior, recheck
+from parallel_cal.identification.recheck import Recheck, drift_prior, weigh_changes
 from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.identification.registration import (
     DevicePoses,
@@ -566,7 +566,8 @@ def weigh_drift(
     """Return whether the robot drifted, the options with the prior that follows, and what to say:
     the data decide how much each part may have drifted. Nothing tells it if nobody stated the
     noise, or if the samples `placed` the device; then the usual drift is the prior."""
-    if observe(start, dataset, options.joint_sigma, options.insist).noise_assumed:
+    seen = observe(start, dataset, options.joint_sigma, options.insist)
+    if seen.noise_assumed:
         why = "nobody stated the noise: state it in the model file, or with --joint-sigma"
     elif placed:
         why = (
@@ -574,7 +575,7 @@ def weigh_drift(
             "robot alike: measure with the device where it stood at the calibration"
         )
     else:
-        found = recheck(start, dataset, options.joint_sigma, options.insist)
+        found = weigh_changes(start, seen)
         return found, replace(options, prior=drift_prior(start, found)), found.warnings
     said = (f"whether the robot has drifted is not known, because {why}",)
     return None, replace(options, prior=update_prior(start)), said

@@ -19,7 +19,7 @@ from parallel_cal.identification.drift_test import (
     DriftTest,
     probabilities,
 )
-from parallel_cal.identification.observations import observe
+from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.update import update_prior
 from parallel_cal.model.model import Model
@@ -114,6 +114,11 @@ class Recheck:
     def is_decided(self) -> bool:
         """Whether all samples decide what has changed, or that nothing has."""
         return self.verdict not in (CHANGED, UNDECIDED)
+
+    @property
+    def is_robot_unchanged(self) -> bool:
+        """Whether it is decided that the robot is as it was, whatever happened to the device."""
+        return self.verdict in (UNCHANGED, DEVICE_MOVED)
 
     @property
     def is_shown(self) -> bool:
@@ -233,6 +238,13 @@ def recheck(
             f"{dataset.source}: nobody stated the noise of the samples, so nothing says how large "
             "a drift they would show: state it in the model file, or with --joint-sigma"
         )
+    return weigh_changes(model, observations, certainty)
+
+
+def weigh_changes(
+    model: Model, observations: Observations, certainty: float = CERTAINTY
+) -> Recheck:
+    """Decide by observations with stated noise, as `recheck` does by samples."""
     columns = Columns.of(model, observations)
     test = DriftTest.of(model, columns)
     n, looks = len(observations), []
