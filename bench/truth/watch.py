@@ -228,9 +228,11 @@ class Delta:
 
     def model(self) -> pc.Model:
         q, turned, tilted = self.angles(
-            self.hinges_at(self.base), np.full(3, self.length), np.full(3, self.rod_length),
+            self.hinges_at(self.base),
+            np.full(3, self.length),
+            np.full(3, self.rod_length),
             self.middle[None],
-        )  # fmt: skip
+        )
         joints, end = [], {"point": [self.rod_length, 0, 0]}
         for k, hinge in enumerate(self.hinges_at(self.base)):
             half = self.azimuths[k] / 2

@@ -153,7 +153,7 @@ def plan(
 
 @cache
 def _plan_of_nominal(n_poses: int, n_replicates: int, seed: int) -> Session:
-    """The same in every test that asks for it; nobody may write into it."""
+    """The session of the nominal robot, drawn once for all tests: nobody may write into it."""
     reading, _ = NOMINAL.inverse(targets(n_poses, seed))
     home, _ = NOMINAL.inverse(NOMINAL.home)
     session = visit(reading, home, n_replicates, seed)

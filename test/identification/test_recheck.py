@@ -186,7 +186,7 @@ def test_an_update_writes_no_model_of_a_robot_that_did_not_drift(moved, said):
 
 
 def test_samples_that_place_the_device_say_nothing_about_a_drift():
-    """The same zero that is found by a device that stands where it stood."""
+    """A zero of joint 2 that a device which stands where it stood would show."""
     moved = session(24, np.random.default_rng(5), zeros=(0.0, 1e-3, 0.0), shift=(0.2, -0.1, 0.05))
     result = pc.fit(calibrated(), moved, update=True)
     assert result.registration is not None
