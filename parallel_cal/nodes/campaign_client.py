@@ -28,6 +28,7 @@ class CampaignClient:
 
     def __init__(self, node: Node):
         self.told: dict[str, Any] = {"state": "", "curve": {"points": []}, "answer": ""}
+        self._node = node
         node.create_subscription(
             CalibrationStatus, f"{CALIBRATION}/session_status", self._on_status, LATCHED
         )
@@ -42,7 +43,8 @@ class CampaignClient:
         answer."""
         self._require(self._goal.server_is_ready())
         self.told = {**self.told, "answer": ""}
-        self._goal.send_goal_async(Calibrate.Goal(**goal)).add_done_callback(self._on_accepted)
+        # In the thread that spins: rclpy drops an answer that comes before the sending returns.
+        self._node.executor.create_task(self._send_goal, Calibrate.Goal(**goal))
 
     def send_command(self, word: str) -> None:
         """Send pause, resume, continue or stop. NodeError if the node does not answer."""
@@ -61,6 +63,9 @@ class CampaignClient:
     def _require(self, ready: bool) -> None:
         if not ready:
             raise NodeError(f"{CALIBRATION} does not answer: is it running?")
+
+    def _send_goal(self, goal: Calibrate.Goal) -> None:
+        self._goal.send_goal_async(goal).add_done_callback(self._on_accepted)
 
     def _on_accepted(self, future: Future) -> None:
         handle = future.result()

@@ -136,16 +136,19 @@ def _try(ask: Callable[[], None]) -> None:
 
 
 def _describe_status(told: dict[str, Any]) -> str:
-    """Describe the state of the campaign and its progress in one line."""
+    """Describe the state of the campaign and its progress in one line.
+
+    What to do next follows from the status, which every window receives: the action's answer goes
+    to the program that began the campaign, and a busy node may drop it.
+    """
     if not told["state"]:
         return "no status received yet"
-    words = f"{told['state']}: {told['reason']}"
+    inactive = told["state"] in INACTIVE_STATES
+    words = f"{told['state']}: {(inactive and told['answer']) or told['reason']}"
     if told["poses"]:
         words += f"; {told['poses']} poses"
     if not math.isnan(told["error_unseen"]):
         words += f", validation error {1e6 * told['error_unseen']:.0f} µm"
-    if told["state"] in INACTIVE_STATES and told["answer"]:
-        words = (
-            f"{told['state']}: {told['answer']}; press Take samples, then Fit, to see the result"
-        )
+    if inactive and told["poses"]:
+        words += "; press Take samples, then Fit, to see the result"
     return words
