@@ -162,16 +162,9 @@ def find_addition(
         return dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
 
     def fit_with(added: Sequence[Candidate], base: FitResult) -> FitResult:
-        # Start where the base started, so that the device's frame is the one registered there; but
-        # if its geometry is implausible, the lack of the effects may have moved the frame.
-        if base.implausible:
-            effects = ((one.name, one.settings) for one in added)
-            placed = base.given.placed_with(effects, base.dataset, options)
-            return fit_unjudged(placed, base.dataset, options, progress, base.given).judge(progress)
-        extended = base.start
-        for one in added:
-            extended = extended.with_effect(one.name, one.settings)
-        return fit(extended, base.dataset, options, progress)
+        effects = ((one.name, one.settings) for one in added)
+        placed = base.given.placed_with(effects, options)
+        return fit_unjudged(placed, base.dataset, options, progress, base.given).judge(progress)
 
     def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
         scene, added = see(base), list[Candidate]()

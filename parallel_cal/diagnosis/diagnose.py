@@ -447,12 +447,9 @@ class _Setup:
         least_squares = replace(self.any_size, loss="linear")
         refit = refit_with_equal_weights(self.model, judged, least_squares)
 
-        def settle(chosen: Sequence[Chosen]) -> Model:
+        def place(chosen: Sequence[Chosen]) -> Model:
             effects = ((one.name, one.settings) for one in chosen)
-            placed = self.given.placed_with(effects, kept, self.any_size)
-            for one in chosen:
-                placed = placed.without_effect(one.name)
-            return placed
+            return judged.placed_with(effects, self.any_size)
 
         def set_aside(knocked: Sequence[int]) -> list[int]:
             more = [one for one in knocked if one not in trusted]
@@ -464,8 +461,7 @@ class _Setup:
             samples, known = self.recorded.excluding(aside, why), (base, result)
             return find_addition(self.asked, text, samples, as_add, knocked=(), known=known)
 
-        settled = settle if self.registration else None
-        search = Search(self.model, refit, self.report, self.options.usual_only, settled)
+        search = Search(self.model, refit, self.report, self.options.usual_only, place)
         self.report("identifying the geometry", 0.0)
         if not aside and (odd := self._find_contradicting(search.fit(judged=False))):
             return self.diagnose_without(odd[0], seen=odd[1])

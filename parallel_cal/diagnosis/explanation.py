@@ -15,7 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.causes.effects import list_effect_blocks, refine_setting, widen
+from parallel_cal.causes.effects import (
+    compute_effect_columns,
+    find_new_parameters,
+    list_effect_blocks,
+    refine_setting,
+    widen,
+)
 from parallel_cal.causes.knocks import are_few, list_knock_blocks
 from parallel_cal.causes.unknown_laws import list_unknown_blocks
 from parallel_cal.diagnosis.catalogue import candidate
@@ -23,6 +29,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.thresholds import CREDIBLE
+from parallel_cal.identification.observations import conditions
 from parallel_cal.identification.thresholds import MIN_DOF
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, KNOCK, LAW, Block, Stack
@@ -43,7 +50,7 @@ class Explanation:
     Attributes
     ----------
     search : Search
-        The refits, from where the device stands.
+        The refits.
     posterior : Posterior
         All causes with their probabilities.
     described : Posterior
@@ -90,7 +97,7 @@ class Explanation:
         with those of them that `set_aside` returns."""
         base = search.fit()
         if base.fitted.implausible:
-            search, base = _find_first(search, base, names)
+            base = _find_first(search, base, names)
         first, names = base.chosen, [name for name in names if name not in base.names]
         refuted, wrong = dict[str, str](), list[str]()
         # What a first cause leaves may still be imitated by a geometry that no robot has.
@@ -111,7 +118,8 @@ class Explanation:
                 wrong += [tried.reason] if tried.wrong_sign else []
                 continue
             ended = not more or frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS
-            if ended or causes.agree_with(tried, described, more):
+            nearer = None if ended else causes.find_nearer(search, first, tried, described)
+            if nearer is None:
                 found = cls(search, posterior, described, tried, refuted, tuple(wrong), base.names)
                 doubt = causes.list_possible(described, found.swaps)
                 if rivals := found.find_absurd_rivals(doubt):
@@ -120,7 +128,7 @@ class Explanation:
                 best = search.fit_as_shown(*chosen)
                 return replace(found, best=best, absurd=absurd, doubt=doubt)
             known.append(frozenset(chosen))
-            causes = Causes.of(_scene_about(base, tried, bool(first)), names)
+            causes = Causes.of(_scene_about(base, nearer, bool(first)), names)
 
     @property
     def outdone(self) -> tuple[str, ...]:
@@ -256,13 +264,43 @@ class Causes:
     def sum(self) -> Sum:
         return Sum(self.scene, Stack.of_alike(self.blocks), self.nu)
 
-    def agree_with(self, fit: Trial, described: Posterior, effects: Collection[Chosen]) -> bool:
-        """Whether a fit with these effects leaves the chi2 that the linear problem predicts."""
+    def find_nearer(
+        self, search: Search, first: Sequence[Chosen], tried: Trial, described: Posterior
+    ) -> Trial | None:
+        """The fit about whose geometry the sum must be made again: the one that was `tried`, if it
+        leaves another chi2 than the linear problem predicts; else the one without the effect that
+        gains least, if it leaves so little that this effect is not likelier than none. A large
+        effect moves the geometry, and another one imitates what the linear problem is wrong by.
+        None if there is no such fit."""
+        more = [one for one in tried.chosen if one not in first]
+        predicted = self._predict_chi2(described, more)
+        reached = tried.fitted.estimate.chi2 / self.variance
+        if abs(reached - predicted) >= MAX_LINEAR_ERROR:
+            return tried
+        if len(more) < 2:
+            return None
+        rests = [[one for one in more if one is not left] for left in more]
+        without = {self._predict_chi2(described, rest): rest for rest in rests}
+        least = min(without)
+        rest = search.fit_as_shown(*first, *without[least], judged=False)
+        if rest.result is None:
+            return None
+        kept = {one.name for one in without[least]}
+        less = [
+            one for one in described.chosen if one.block.kind != EFFECT or one.block.name in kept
+        ]
+        likeliest = self.sum.evidence(described.chosen, described.nu)
+        promised = likeliest.log_p - self.sum.evidence(less, described.nu).log_p
+        lost = (least - predicted) - (rest.fitted.estimate.chi2 / self.variance - reached)
+        return rest if lost / (2 * likeliest.noise_variance) > promised else None
+
+    def _predict_chi2(self, described: Posterior, effects: Collection[Chosen]) -> float:
+        """The chi2 that the linear problem predicts of a fit with these effects."""
         names = {one.name for one in effects}
         columns = [one.block.at(one.setting) for one in described.chosen if one.block.name in names]
         r, C = self.scene.residual, np.hstack(columns)
         left = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
-        return bool(abs(fit.fitted.estimate.chi2 / self.variance - left @ left) < MAX_LINEAR_ERROR)
+        return float(left @ left)
 
     def explain(
         self, refuted: Collection[str] = (), near: Sequence[Choice] = ()
@@ -417,21 +455,39 @@ def _depends_on(posterior: Posterior, name: str, conditions: set[str]) -> bool:
 
 
 def _scene_about(base: Trial, best: Trial, within_tolerances: bool) -> Scene:
-    """The scene of the model without further effects, with the geometry found with them."""
+    """The scene of the model without further effects, with the geometry found with them.
+
+    Its residual is that of the fit with them, extrapolated to none of them: a sum about it is exact
+    at this fit, and what the curvature of a large effect leaves calls for no further cause.
+    """
     fitted, result = base.fitted, best.fitted.model
     found = result.table.mapping(result.values)
     before = fitted.model.table.mapping(fitted.model.values)
     values = np.array([found.get(name, value) for name, value in before.items()])
     about = replace(fitted.model, values=values)
-    return Scene.of(
+    scene = Scene.of(
         about, fitted.dataset, fitted.observations, fitted.free, base.shared, within_tolerances
     )
+    effects = [one for one in best.chosen if one not in base.chosen]
+    if within_tolerances or not effects or result.mechanism is not about.mechanism:
+        return scene
+    residual = best.scene.closure_residual
+    if scene.turn is not None:
+        residual = np.einsum("nk,nrk->nr", residual, scene.turn)
+    residual = residual.reshape(-1)
+    for one in effects:
+        plain = about.with_effect(one.name)
+        a = conditions(plain, fitted.dataset)
+        new = find_new_parameters(about, plain.with_settings(one.name, one.settings))
+        away = np.array([found[name] for name in np.array(plain.table.names)[new]])
+        away = (away - plain.table.nominal[new]) / plain.table.tolerance[new]
+        residual = residual - compute_effect_columns(scene, plain, one.settings, a, True) @ away
+    return replace(scene, residual=scene.project_off_geometry(residual))
 
 
-def _find_first(search: Search, base: Trial, names: Sequence[str]) -> tuple[Search, Trial]:
+def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
     """The fit with that likely cause with which a plausible geometry describes the samples best, or
-    with all of them if none is enough alone, and the search from where the device stands with it;
-    those given if there is none.
+    with all of them if none is enough alone; the given one if there is none.
 
     The sum is about the drawing, with the tolerances of the geometry: about a geometry that no
     robot has, other effects imitate what is missing.
@@ -447,12 +503,11 @@ def _find_first(search: Search, base: Trial, names: Sequence[str]) -> tuple[Sear
             likely[name] = Chosen.of(candidate(drawn, name))
     sets = [(one,) for one in likely.values()]
     for tried in (sets, [chosen] if len(chosen) > 1 else []):
-        settled = ((search.settled_with(one), one) for one in tried)
-        trials = [(at, at.fit_as_shown(*one, judged=False)) for at, one in settled]
-        plausible = [one for one in trials if one[1].result is not None]
+        trials = (search.fit_as_shown(*one, judged=False) for one in tried)
+        plausible = [one for one in trials if one.result is not None]
         if plausible:
-            return min(plausible, key=lambda one: one[1].fitted.estimate.chi2)
-    return search, base
+            return min(plausible, key=lambda one: one.fitted.estimate.chi2)
+    return base
 
 
 def _find_refuted(search: Search, first: tuple[Chosen, ...], more: tuple[Chosen, ...]) -> str:

@@ -25,8 +25,8 @@ from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene, SharedDerivatives
 
-# With effects beside the geometry, the model without them that a search begins with
-Settle = Callable[[Sequence["Chosen"]], Model]
+# The model that a search extends, with effects, and the device where it stands if it has them
+Place = Callable[[Sequence["Chosen"]], Model]
 # Of a model; whether contradictions are accepted, and the fit near which a single step is enough.
 Refit = Callable[[Model, bool, FitResult | None], UnjudgedFit]
 
@@ -122,9 +122,13 @@ Rivals = Mapping[str, list[Candidate]]  # of each effect, what the data confuse 
 
 
 class Search:
-    """The refits of one diagnosis, each made once. Validation errors cost several fits: they are
-    computed for those refits only that must be judged. The fit without further effects may have a
-    geometry that no robot has, which imitates what is missing; one with effects must explain it."""
+    """The refits of one diagnosis, each made once, with the device where it stands if the robot has
+    the effects of the refit: the lack of a large one moves it.
+
+    Validation errors cost several fits: they are computed for those refits only that must be
+    judged. The fit without further effects may have a geometry that no robot has, which imitates
+    what is missing; one with effects must explain it.
+    """
 
     def __init__(
         self,
@@ -132,21 +136,18 @@ class Search:
         refit: Refit,
         progress: Progress,
         usual_only: bool = False,
-        settle: Settle | None = None,
+        place: Place | None = None,
     ):
         self._model, self._progress, self._refit = model, progress, refit
-        self._usual_only, self._settle = usual_only, settle
+        self._usual_only, self._place = usual_only, place or self._extend
         self._shared = SharedDerivatives()
         self._known: dict[tuple[Collection[Chosen], bool, bool], Trial] = {}
 
-    def settled_with(self, chosen: Sequence[Chosen]) -> Search:
-        """The search from where a device and its target stand if the robot has these effects. The
-        lack of a large one moves them so far that no robot's geometry fits them."""
-        if self._settle is None:
-            return self
-        return Search(
-            self._settle(chosen), self._refit, self._progress, self._usual_only, self._settle
-        )
+    def _extend(self, chosen: Sequence[Chosen]) -> Model:
+        model = self._model
+        for one in chosen:
+            model = model.with_effect(one.name, one.settings)
+        return model
 
     def fit(
         self, *chosen: Chosen, insist: bool = False, judged: bool = True, once: bool = False
@@ -191,11 +192,11 @@ class Search:
         names = ", ".join(c.name for c in chosen)
         self._progress(f"refitting with {names}" if names else "refitting the geometry", 0.5)
         key = frozenset(ordered), insist, once
-        model, near = self._model, self.fit(judged=False).result if once else None
+        near = self.fit(judged=False).result if once else None
         try:
-            for one in chosen:
-                model = model.with_effect(one.name, one.settings)
-            unjudged = self._refit(model, insist, near)
+            # The lack of an effect moves the device; a single step does not pay for moving it back.
+            placed = self._extend(chosen) if once or not chosen else self._place(chosen)
+            unjudged = self._refit(placed, insist, near)
             trial = Trial(chosen, unjudged.result, shared=self._shared, unjudged=unjudged)
             if chosen and (words := unjudged.result.implausible):
                 trial = Trial(chosen, None, words)

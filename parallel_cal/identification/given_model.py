@@ -110,14 +110,14 @@ class GivenModel:
         )
 
     def placed_with(
-        self, effects: Iterable[tuple[str, Mapping[str, float]]], dataset: Dataset, how: FitOptions
+        self, effects: Iterable[tuple[str, Mapping[str, float]]], how: FitOptions
     ) -> Model:
         """Return the start with effects and their settings, and with the device where it stands if
         the robot has them: the lack of a large one moves it."""
         larger = self.start
         for name, settings in effects:
             larger = larger.with_effect(name, settings)
-        return prepared_for_fit(larger, self.registration, dataset, how)[0]
+        return prepared_for_fit(larger, self.registration, self.dataset, how, once=True)[0]
 
     def with_dataset(self, dataset: Dataset) -> GivenModel:
         """Return this model, judged by some of its samples, or by all with other warnings."""

@@ -212,7 +212,11 @@ def is_registrable(model: Model, there: DevicePoses | None) -> bool:
 
 
 def prepared_for_fit(
-    model: Model, registration: Registration | None, dataset: Dataset, options: FitOptions
+    model: Model,
+    registration: Registration | None,
+    dataset: Dataset,
+    options: FitOptions,
+    once: bool = False,
 ) -> tuple[Model, Registration | None]:
     """A registered model as the start of a fit: the frames are fitted together with the robot, and
     those of their parameters are free that are independent of the robot's.
@@ -220,7 +224,8 @@ def prepared_for_fit(
     A model that was not registered, and has no sensor that shows poses, is unchanged. A model that
     an earlier fit registered is unchanged, too, unless other parameters of the robot are free now:
     if one that was free is fixed, the frame must be able to move in its place. If an effect is new,
-    the frame stands where the lack of this effect has moved it.
+    the frame stands where the lack of this effect has moved it. With `once`, a single step is made:
+    the robot makes up for what a frame that depends on its parameters is off.
     """
     refixed = registration is None and not shows_pose(model)
     if refixed and not _are_others_free(model, options):
@@ -232,7 +237,7 @@ def prepared_for_fit(
             return model, None
         own = np.array([there.is_free(name) for name in model.table.names])
         model, told = replace(model, fixed=np.asarray(model.fixed) & ~own), there.tells_target
-    settled = _fit_frames(model, observations, options, told)
+    settled = _fit_frames(model, observations, options, told, once)
     if registration is None:
         return settled, None
     why, held = registration.why, registration.held
@@ -495,7 +500,9 @@ def _placements(model: Model) -> Array:
     return _numbers(model) | model.table.matching(f"{name}.{part}" for name, part in parts if part)
 
 
-def _fit_frames(model: Model, observations: Observations, options: FitOptions, told: bool) -> Model:
+def _fit_frames(
+    model: Model, observations: Observations, options: FitOptions, told: bool, once: bool
+) -> Model:
     """Fit the frames with the robot nearest to nominal; fix those of their parameters that depend
     on the free parameters of the robot. A target whose place the samples have not `told` stays
     where it is assumed: it moves only in the fit of the robot."""
@@ -514,7 +521,8 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions, t
     # robot: a tolerance of this origin would tilt {B} away from the drawing.
     frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
     frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
-    found = implicit.estimate(model, observations, settled, prior=_prior_without(model, frame))
+    prior = _prior_without(model, frame)
+    found = implicit.estimate(model, observations, settled, prior, once=once)
     views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
     if _device(model) is not None:
         model = _with_frames(model, _turn_target(model.with_values(found.values), observations))

@@ -32,6 +32,7 @@ from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.simulate import simulate
 from parallel_cal.reporting.contents import HeldOutErrors
 from parallel_cal.session.steps import add
+from parallel_cal.virtual import robot as vr
 
 SHIFT, TURN = np.array([1.2, -1.4, 0.3]), rotation_matrix(np.array([0.3, -0.2, 2.0]))
 
@@ -135,6 +136,19 @@ def test_an_effect_added_to_a_registered_robot_is_compared_with_the_model_that_c
     step = add(model, "backlash", far, force=True)
     assert step.document()["before"] == compare(model, far).errors.document()
     assert step.document()["held_out"]["before"] == fit(model, far).document()["held_out"]["before"]
+
+
+@pytest.mark.wide
+def test_the_device_stands_where_it_stands_with_an_effect_whoever_adds_it():
+    """The lack of the effect moves the device. Where robot and frame are redundant it is held, and
+    the robot pays for it."""
+    play = vr.Backlash((2e-3, 1.6e-3, 1.2e-3))
+    data = seen_by_a_tracker(measured(3, effects=[play], n_poses=60, n_replicates=0))
+    model = new_model("delta54")
+    begun_with = fit(model, data, effects=["backlash"], hold_out=0).estimate.chi2
+    assert add(model, "backlash", data).result.estimate.chi2 == pytest.approx(begun_with, abs=0.01)
+    found = diagnose(model, data).best.fitted.estimate.chi2
+    assert found == pytest.approx(begun_with, abs=0.01)
 
 
 @pytest.mark.wide

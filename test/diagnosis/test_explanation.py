@@ -1,0 +1,63 @@
+"""The sum made again about a fit, and the fits that prove what it names."""
+
+import numpy as np
+import pytest
+from datasets import measured
+
+from parallel_cal.causes.effects import list_effects_to_test
+from parallel_cal.diagnosis import explanation
+from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.diagnosis.search import Chosen, Search
+from parallel_cal.identification.fit import fit_unjudged
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
+
+PLAY = Chosen("backlash")
+
+
+@pytest.fixture(scope="module")
+def search():
+    """The refits of a Delta whose play of 11 mm bends any geometry without it."""
+    data = measured(0, effects=[vr.Backlash((11e-3, 9e-3, 7e-3))], n_poses=60, n_replicates=0)
+    return Search(
+        new_model("delta54"),
+        lambda model, insist, *_: fit_unjudged(model, data, FitOptions(insist=True)),
+        lambda *_: None,
+    )
+
+
+@pytest.fixture(scope="module")
+def base(search):
+    return search.fit(insist=True, judged=False)
+
+
+def test_a_sum_about_a_fit_leaves_what_the_fit_leaves(search, base):
+    best = search.fit(PLAY, insist=True, judged=False)
+    wrong = []
+    for scene in (base.scene, explanation._scene_about(base, best, within_tolerances=False)):
+        causes = Causes.of(scene, ["backlash"], kinds=())
+        _, described, _ = causes.explain()
+        predicted = causes._predict_chi2(described, [PLAY])
+        wrong.append(abs(predicted - best.fitted.estimate.chi2 / causes.variance))
+    assert wrong[0] > 10
+    assert wrong[1] < 0.1
+
+
+@pytest.mark.parametrize("allowed", [explanation.MAX_LINEAR_ERROR, np.inf])
+def test_what_imitates_the_curvature_of_a_large_effect_is_not_named(
+    search, base, allowed, monkeypatch
+):
+    """Also where the linear problem agrees with the fit of both effects, as it may by chance."""
+    monkeypatch.setattr(explanation, "MAX_LINEAR_ERROR", allowed)
+    names = list_effects_to_test(base.fitted.model)
+    causes = Causes.of(base.scene, names)
+    _, described, chosen = causes.explain()
+    assert len(chosen) == 2  # the second one is not there
+    tried = search.fit_as_shown(*chosen, judged=False)
+    nearer = causes.find_nearer(search, (), tried, described)
+    assert nearer.names == (("backlash",) if allowed == np.inf else tried.names)
+    again = Causes.of(explanation._scene_about(base, nearer, within_tolerances=False), names)
+    _, described, chosen = again.explain()
+    assert [one.name for one in chosen] == ["backlash"]
+    assert again.find_nearer(search, (), search.fit_as_shown(PLAY, judged=False), described) is None
