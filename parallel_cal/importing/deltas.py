@@ -77,6 +77,10 @@ class Delta(Protocol):
     def joints(self, r: Array, R: Array | None = None) -> Array:
         """Return joints (N, 3) in m or rad for the nozzle at r (N, 3); NaN out of reach."""
 
+    @property
+    def step(self) -> Array | None:
+        """By how much (3,) one step moves a joint, in m or rad; None if it is not known."""
+
     def mechanism(self) -> Mechanism:
         """Return the mechanism with these numbers."""
 
@@ -85,13 +89,19 @@ class Delta(Protocol):
         """These numbers by the names of the mechanism's parameters."""
 
 
+def count_steps(scale: Array | None) -> dict[str, Array | None]:
+    """Return what `Towers` states of a firmware whose scale counts steps."""
+    return {"scale": scale, "step": None if scale is None else 1 / scale}
+
+
 @dataclass(frozen=True)
 class Towers:
     """A linear Delta; `first` and `trim` give the towers' angles (rad), `end_stops` the joints.
 
     `scale` is how many steps or turns of its motor the firmware counts for 1 m of a carriage, if it
-    states this. With the scale with which joints were `recorded`, the joints are the readings that
-    the same steps had then. Without it, they are heights of the carriages.
+    states this, `step` the length of a step. With the scale with which joints were `recorded`, the
+    joints are the readings that the same steps had then. Without it, they are heights of the
+    carriages.
 
     `limits` are those of the joints (m), by default from 0.1 m below 0 to the end-stops. The `box`
     is the workspace, by default from z = 0 upwards.
@@ -109,6 +119,7 @@ class Towers:
     recorded: Array | None = None
     limits: tuple[tuple[float, float], ...] | None = None
     box: Workspace | None = None
+    step: Array | None = None
 
     @classmethod
     def of(
@@ -184,7 +195,8 @@ class Shoulders:
     """A rotary Delta; `angles` (rad) are the directions of its motors about z.
 
     `switches` (3,) are its joints at the end-stops (rad), by default the upper limits. The `box` is
-    its workspace; without it, there is a bed at z = 0.
+    its workspace; without it, there is a bed at z = 0. `step` is the angle of a step, if it is
+    known.
     """
 
     radius: float
@@ -196,6 +208,7 @@ class Shoulders:
     reach: float | None = None
     switches: Array | None = None
     box: Workspace | None = None
+    step: Array | None = None
 
     @property
     def homed(self) -> Array:

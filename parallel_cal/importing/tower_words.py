@@ -80,7 +80,7 @@ class TowerWords:
             rod + self.read_rods(stated) / MM,
             _three(stated, self.fields(self.angles), "degrees"),
             height - np.array(stops),
-            scale=read_scale(stated),
+            **deltas.count_steps(read_scale(stated)),
         )
 
     def configured(self, paths: Sequence[Path], remarks: Sequence[str] = ()) -> ConfiguredRobot:

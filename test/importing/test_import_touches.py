@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import virtual_firmware as vf
 from test_import_grblhal import DELIVERED
+from test_import_klipper import LINEAR as DELTA
+from test_import_klipper import ROTARY
 from test_import_repetier import CARRIAGES, REPORT, STEP
 from test_import_ur import UR3
 
@@ -17,6 +19,8 @@ from parallel_cal.model.shelf import load_sensor
 
 MM = 1e-3
 BED = -280.0  # mm, below the motors
+STEPS_DELTA = np.array([40, 40, 20]) * MM / 200 / 16
+STEPS_ROTARY = 2 * np.pi / (107 / 16 * 60 / 16) / np.array([400, 200, 200]) / 16
 
 
 def written(folder, rows, config=DELIVERED, name="settings.txt", head="X,Y,Z"):
@@ -34,6 +38,18 @@ def test_joints_are_those_of_the_firmware_that_moved_there(tmp_path):
     assert ((away >= 0) & (away < 1)).all()
     np.testing.assert_allclose(found.joint_sigma, STEP / 12**0.5)
     np.testing.assert_array_equal(found.conditions["reading.probe"], 0.0)
+
+
+@pytest.mark.parametrize(("printer", "step"), [(DELTA, STEPS_DELTA), (ROTARY, STEPS_ROTARY)])
+def test_joints_are_as_fine_as_a_microstep_of_klipper(tmp_path, printer, step):
+    """Its scale counts turns, not steps: a turn of 40 mm was taken for a step."""
+    table, config = written(tmp_path, [(0, 0, 0.1), (10, 5, 0.2)], printer, "printer.cfg")
+    found = samples("touches", [table, config])
+    np.testing.assert_allclose(found.joint_sigma, step / 12**0.5)
+    np.testing.assert_allclose(samples("klipper", [config]).joint_sigma, found.joint_sigma)
+    # Not whole, but enough where no distances in steps are stored.
+    config.write_text(printer.replace("microsteps", "#microsteps").replace(" distance0", " weight"))
+    assert samples("touches", [table, config]).joint_sigma is None
 
 
 def test_arms_are_level_where_a_right_triangle_puts_the_effector(tmp_path):

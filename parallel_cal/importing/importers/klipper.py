@@ -263,6 +263,16 @@ def _steps(stated: Settings) -> Array:
     return np.array(found)
 
 
+def _find_steps(stated: Settings) -> Array | None:
+    """The `_steps`; None if the configuration is not whole and does not state them."""
+    keys = ["microsteps"] + [ROTATION_DISTANCE] * (_kind(stated) == "delta")
+    for stepper in STEPPERS:
+        is_stated = all(f"{stepper} {key}" in stated for key in keys)
+        if not is_stated and f"{stepper} {STEP_DISTANCE}" not in stated:
+            return None
+    return _steps(stated)
+
+
 def scale(stated: Settings) -> Array | None:
     """Return the turns (3,) of the motors for 1 m of a carriage; None if they are not stated."""
     fields = [f"{stepper} {ROTATION_DISTANCE}" for stepper in STEPPERS]
@@ -389,6 +399,7 @@ def _towers(stated: Settings) -> Towers:
         _read_stepper_values(stated, "position_endstop", HEIGHT_EXPECTED, low=0.0),
         reach=stated.number("[printer] print_radius", "mm", 0.6 * radius, 1.0) * MM,
         scale=scale(stated),
+        step=_find_steps(stated),
     )
 
 
@@ -401,6 +412,7 @@ def _shoulders(stated: Settings) -> Shoulders:
         _read_stepper_values(stated, "upper_arm_length", "mm", low=1.0) * MM,
         _read_stepper_values(stated, "lower_arm_length", "mm", low=1.0) * MM,
         _angles(stated, SHOULDERS) * DEGREE,
+        step=_find_steps(stated),
     )
     heights = _read_stepper_values(stated, "position_endstop", HEIGHT_EXPECTED, low=0.0) * MM
     tops = np.diag(rotary.joints(np.column_stack([np.zeros((3, 2)), heights])))

@@ -254,4 +254,6 @@ def towers(stated: Settings) -> Towers:
     homed = stated.number("M665 H", f"the homed height in mm{KEPT}", low=0.0)
     trim = [stated.number(f"M665 {t}", "degrees", 0.0, -30, 30) for t in "XYZ"]
     heights = homed - np.array(stops)
-    return Towers.of(radius + out, rod + np.array(more), trim, heights, scale=read_scale(stated))
+    return Towers.of(
+        radius + out, rod + np.array(more), trim, heights, **deltas.count_steps(read_scale(stated))
+    )

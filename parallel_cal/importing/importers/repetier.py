@@ -164,7 +164,9 @@ def towers(stated: Settings) -> Towers:
     turned = np.degrees(np.arctan2(places[:, 1], places[:, 0])) - DIRECTIONS
     trim = (turned + 180) % 360 - 180
     scale = np.full(3, per_mm / MM)
-    return Towers.of(np.hypot(*places.T), rods, trim, height + stops / per_mm, scale=scale)
+    return Towers.of(
+        np.hypot(*places.T), rods, trim, height + stops / per_mm, **deltas.count_steps(scale)
+    )
 
 
 def _three(stated: Settings, fields: Sequence[str], unit: str, most: float) -> Array:

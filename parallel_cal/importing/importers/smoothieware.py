@@ -248,7 +248,7 @@ def _towers(stated: Settings) -> Towers:
         np.full(3, rod),
         [_number(stated, key, "degrees", 0.0, -30) for key in ANGLES],
         height - np.array(trims),
-        scale=scale(stated),
+        **deltas.count_steps(scale(stated)),
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing.controller_files import configured
-from parallel_cal.importing.deltas import Delta, Towers
+from parallel_cal.importing.deltas import Delta
 from parallel_cal.importing.touch_samples import (
     make_printed_ends,
     make_touch_samples,
@@ -57,13 +57,12 @@ def samples(
     probes = [sensor for sensor in model.sensors if sensor.name == PROBE]
     tip = probes[0].options.get("tip", (0.0, 0.0, 0.0)) if probes else (0.0, 0.0, 0.0)
     remarks = [] if probes else [NO_PROBE.format(files[0].name, np.median(points[:, 2]))]
-    scale = delta.scale if isinstance(delta, Towers) else None
     return make_touch_samples(
         delta,
         points - np.array(tip),
         [place for each in read for place in each[1]],
         paths,
-        None if scale is None else 1 / scale,
+        delta.step,
         warnings=remarks,
         printed=make_printed_ends(delta, printed_x, printed_y),
     )

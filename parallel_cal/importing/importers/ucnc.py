@@ -65,5 +65,10 @@ def towers(stated: Settings) -> Towers:
     if all(field in stated for field in STEPS):
         scale = np.array([stated.number(f, "steps per mm", low=1e-3) / MM for f in STEPS])
     return Towers.of(
-        radius, np.full(3, rod), np.zeros(3), np.full(3, height), first=FIRST, scale=scale
+        radius,
+        np.full(3, rod),
+        np.zeros(3),
+        np.full(3, height),
+        first=FIRST,
+        **deltas.count_steps(scale),
     )
