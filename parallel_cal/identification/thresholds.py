@@ -99,8 +99,9 @@ REWEIGHTINGS = 20  # of samples by their residuals, or of weak directions by an 
 
 # Joint readings from exchanged columns or of the other sign
 MAX_GUESS_SAMPLES = 30
-MAX_JOINTS_OF_ANY_SIGN = 6  # every combination of signs is tried [0, 0]
-MAX_JOINTS_IN_ANY_ORDER = 4  # every order is tried [1, 0: delta_tilting]
+# every combination of signs, or order, that joints may have; of more, only the likely ones are
+# tried: 64 are the signs of six joints and more than the orders of four [1, 0: delta_tilting]
+MAX_GUESSES_OF_A_KIND = 64
 MAX_GUESSES_REFINED = 8  # of which the frames of the device are found exactly
 MIN_REACHED_SHARE = 0.9  # of the poses, which the robot must reach ... [0, 1: delta_tilting]
 MIN_QUICK_SHARE = 0.3  # ... and which are found quickly where joints contradict each other
