@@ -24,7 +24,11 @@ from parallel_cal.identification.frames import IDENTITY_FRAMES, Frames, PosePair
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.methods.forward import minimise_pose_errors
-from parallel_cal.identification.moved_frames import describe_what_moved
+from parallel_cal.identification.moved_frames import (
+    Explanation,
+    describe_what_moved,
+    explain_by_frames,
+)
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
@@ -371,13 +375,12 @@ class DevicePoses(PosePairs):
     def is_displaced(self, found: Frames, identified: bool) -> bool:
         """Whether frames explain a significant part of the error and differ from the model's by
         more than a workshop calls aligned."""
-        squares = [float(np.sum(self._residual(frames) ** 2)) for frames in (self.now, found)]
-        rows, logs = int(self.measured.sum()), np.log(np.maximum(squares, 1e-300))
-        parameters = int(np.linalg.matrix_rank(self._jacobian(found).reshape(-1, 12)))
+        before = Explanation.of("nothing moved", self, self.now, 0)
+        after = explain_by_frames("frames", self, found)
         share = MAX_REMAINING_SHARE_IDENTIFIED if identified else MAX_REMAINING_SHARE
-        significant = rows * (logs[0] - logs[1]) > parameters * np.log(rows)
-        displaced = identified or self.are_far_apart(found)
-        return bool(significant and squares[1] < share * squares[0] and displaced)
+        significant = after.criterion < before.criterion
+        smaller = np.sum(after.errors**2) < share * np.sum(before.errors**2)
+        return bool(significant and smaller and (identified or self.are_far_apart(found)))
 
     def are_far_apart(self, found: Frames) -> bool:
         now = self.now
