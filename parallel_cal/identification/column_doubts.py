@@ -26,8 +26,8 @@ from parallel_cal.identification.thresholds import (
     MAX_GUESS_SHARE,
     MAX_GUESSES_OF_A_KIND,
     MAX_GUESSES_REFINED,
+    MIN_FRAME_POSES,
     MIN_GUESS_ERROR_RATIO,
-    MIN_PLACEMENT_POSES,
     MIN_QUICK_SHARE,
     MIN_REACHED_SHARE,
     MIN_SCALE_SAMPLES,
@@ -151,7 +151,7 @@ def _find_fitting_guesses(
     )
     given = _read_joints(model, few)
     F = None  # the rotation of the device that positions show, whatever orientations mean
-    if given is not None and given.placed.sum() >= MIN_PLACEMENT_POSES:
+    if given is not None and given.placed.sum() >= MIN_FRAME_POSES:
         F = replace(given, measured=given.measured & PLACE).frames.F
     guesses = [
         (guess, poses if guess.poses is None else guess.poses(poses, F))
@@ -274,7 +274,7 @@ def _read_joints(
     has_more_joints = len(model.joints) > len(model.mechanism.moves)
     least = MIN_QUICK_SHARE if has_more_joints else MIN_REACHED_SHARE
     # Fewer different poses can be matched to any readings.
-    if there is None or there.poses < MIN_PLACEMENT_POSES:
+    if there is None or there.poses < MIN_FRAME_POSES:
         return None
     if np.mean(there.placed | there.turned) < least:
         return None

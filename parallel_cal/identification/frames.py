@@ -185,11 +185,6 @@ class PosePairs:
             spread = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
         return self.compute_rms(self.frames) / spread if spread > 0 else 0.0
 
-    def compute_position_rms(self, frames: Frames) -> float:
-        """Rms distance (m) of the measured positions from the predicted ones."""
-        away = self._residual(frames)[self.placed, :3]
-        return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
-
     def compute_closed_form_error(self) -> float:
         """Median distance of the poses (m) with the best of the frames from which `frames`
         descends."""

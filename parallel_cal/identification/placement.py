@@ -17,7 +17,7 @@ from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.identification.thresholds import (
     MIN_DOUBTFUL_SHARE,
-    MIN_PLACEMENT_POSES,
+    MIN_FRAME_POSES,
     MIN_PLACEMENT_TILT_RAD,
     MIN_UNREGISTERED_ERROR_RATIO,
 )
@@ -58,7 +58,7 @@ def _place(
         shown = max((int(view.seen.sum()) for view in sensor.views(reading)), default=0)
         raise FitError(
             f"{sensor.name}: {shown} of {len(reading)} samples show enough of the board for a "
-            f"pose, expected at least {MIN_PLACEMENT_POSES} that the robot can reach: take more "
+            f"pose, expected at least {MIN_FRAME_POSES} that the robot can reach: take more "
             "images of the whole board, or state where camera and board are in the model file"
         )
     error, best, there = min(found, key=lambda one: one[0])
@@ -89,7 +89,7 @@ def _fit_views(
     found = []
     for view in sensor.views(reading):
         used = view.seen & reached.solved & np.isfinite(view.r).all(axis=1)
-        if used.sum() < MIN_PLACEMENT_POSES:
+        if used.sum() < MIN_FRAME_POSES:
             continue
         away = turns_from_mean(reached.rotation[used])
         turned = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))

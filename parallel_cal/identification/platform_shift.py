@@ -46,26 +46,23 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
     samples."""
     old, new = before.model.robot(), after.model.robot()
     joints = after.observations.x[:, : len(old.joints)]
-    reached = [
+    target = Kinematics(old).inverse(
+        *poses_in_workspace(old.mechanism, 200, np.random.default_rng(0))
+    )
+    at_measured = [
         Kinematics(robot).direct(joints, condition_columns(robot, result.observations))
         for robot, result in ((old, before), (new, after))
     ]
-    rng = np.random.default_rng(0)
-    target = Kinematics(old).inverse(*poses_in_workspace(old.mechanism, 200, rng))
     anywhere = [Kinematics(robot).direct(target.joints) for robot in (old, new)]
+    poses = [_compare_poses(*both) for both in (at_measured, anywhere)]
+    frames, device = IDENTITY_FRAMES, after.observations.measured[:, len(old.joints) :].any()
+    if shows_pose(after.model) and not device:
+        frames = poses[0].descend(frames, poses[0].placed)
+    measured, workspace = (p.compute_rms(frames) if p.placed.any() else None for p in poses)
     rms = [e.held_out.summary.position_rms for e in (before, after)]
     shown = None
     if rms[0] is not None and rms[1] is not None:
         shown = math.sqrt(max(rms[0] ** 2 - rms[1] ** 2, 0.0))
-    frames = IDENTITY_FRAMES
-    device = after.observations.measured[:, len(old.joints) :].any()
-    if shows_pose(after.model) and not device:
-        poses = _compare_poses(*reached)
-        frames = poses.descend(frames, poses.placed)
-    measured, workspace = (
-        poses.compute_position_rms(frames) if poses.placed.any() else None
-        for poses in (_compare_poses(*pair) for pair in (reached, anywhere))
-    )
     neutral: dict[str, tuple[float, str]] = {}
     units = dict(zip(new.joints, new.mechanism.joint_units, strict=True))
     for robot, result in ((old, before), (new, after)):

@@ -9,19 +9,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import (
     matrix_to_quaternion,
     quaternion_to_matrix,
-    rotation_matrix,
     rotation_vector,
     turns_from_mean,
 )
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.frames import IDENTITY_FRAMES, Frames, PosePairs
-from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.linearisation import Linearisation, follow_closure
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.methods.forward import minimise_pose_errors
 from parallel_cal.identification.moved_frames import (
@@ -42,6 +42,7 @@ from parallel_cal.identification.thresholds import (
     MAX_UNCERTAIN_TILT_RAD,
     MIN_EXPLAINED_ERROR_RATIO,
     MIN_FRAME_COLUMN_REMAINDER,
+    MIN_FRAME_POSES,
     MIN_REGISTRATION_POSES,
     MIN_UNREGISTERED_ERROR_RATIO,
     ROUNDING,
@@ -50,12 +51,13 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
 from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 
 SENSOR = "device_frame"
-TARGET_PLACE = tuple(f"device_frame.target.{axis}" for axis in "xyz")
-FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
+FRAME, TARGET = f"{SENSOR}.frame.", f"{SENSOR}.target."  # and a coordinate
+TARGET_PLACE = tuple(f"{TARGET}{axis}" for axis in "xyz")
 # Of the effect that describes a station for each of several recordings
 STATION_EFFECT = "parallel_cal.identification.stations"
 TARGET_EFFECT = "target_offset"  # an effect that states where the target sits
@@ -147,7 +149,15 @@ def register_observed(
             f"; {there.now.describe_move(found)} from where the model has it; "
             f"{describe_what_moved(model, observations, there)}"
         )
-    return placed, _registration(placed, frame or "device", why, there.tells_target, there.held)
+    return placed, Registration(
+        frame or "device",
+        base,
+        model.frames["platform"],
+        why,
+        told=there.tells_target,
+        held=there.held,
+        **_state_frames(placed),
+    )
 
 
 def _stays_displaced(placed: Model, observations: Observations, there: DevicePoses) -> bool:
@@ -158,15 +168,14 @@ def _stays_displaced(placed: Model, observations: Observations, there: DevicePos
     priors, they keep only what these do not describe better. Nothing is known of the frames, so
     where a robot and its frames can move alike the frames keep the displacement.
     """
-    own = np.array([there.is_free(name) for name in placed.table.names])
+    own = there.find_free(placed)
     free = (~np.asarray(placed.fixed) & (placed.table.tolerance > 0)) | own
-    prior = _prior_without(placed, own)
     near = observations.select(there.find_near(frames_of(placed)))
     try:
-        values = implicit.estimate(placed, near, free, prior).values
+        beside = _fit_beside_robot(placed, near, free, own)
     except FitError:  # no tolerances describe these samples
         return True
-    return there.are_far_apart(frames_of(placed.with_values(values)))
+    return there.are_far_apart(frames_of(beside))
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
@@ -227,31 +236,22 @@ def prepared_for_fit(
     the frame stands where the lack of this effect has moved it.
     """
     refixed = registration is None and not shows_pose(model)
-    if refixed and not _are_others_free(model, options):
-        return model, None
+    if refixed:
+        if options.refit or not any(entry.get("registered") for entry in model.history):
+            return model, None
+        if model.covariance is not None:  # else effects were added or removed since
+            others = free_mask(model, options.free, options.fix) == model.fixed
+            if not (others & ~_placements(model)).any():
+                return model, None
     observations = observe(model, dataset, options.joint_sigma, options.insist)
     told = registration is None or registration.told
     if refixed:
         if (there := DevicePoses.of(model, observations)) is None:
             return model, None
-        own = np.array([there.is_free(name) for name in model.table.names])
-        model, told = replace(model, fixed=np.asarray(model.fixed) & ~own), there.tells_target
+        freed = np.asarray(model.fixed) & ~there.find_free(model)
+        model, told = replace(model, fixed=freed), there.tells_target
     settled = _fit_frames(model, observations, options, told)
-    if registration is None:
-        return settled, None
-    why, held = registration.why, registration.held
-    return settled, _registration(settled, registration.frame, why, told, held)
-
-
-def _are_others_free(model: Model, options: FitOptions) -> bool:
-    """Whether an earlier fit registered the model, and other parameters of the robot are free now
-    than in that fit."""
-    if options.refit or not any(entry.get("registered") for entry in model.history):
-        return False
-    if model.covariance is None:  # effects were added or removed since
-        return True
-    free = free_mask(model, options.free, options.fix)
-    return bool(((free == model.fixed) & ~_placements(model)).any())
+    return settled, registration and replace(registration, **_state_frames(settled))
 
 
 def add_registration_warning(dataset: Dataset, registration: Registration | None) -> Dataset:
@@ -291,16 +291,14 @@ class DevicePoses(PosePairs):
         measured = solved[:, None] & observations.measured[:, n : n + 6]
         measured[:, :3] &= moves[0]
         placed, turned = (measured[:, part].any(axis=1) for part in (slice(3), slice(3, 6)))
-        if max(placed.sum(), turned.sum() * moves[1]) < 4:
+        if max(placed.sum(), turned.sum() * moves[1]) < MIN_FRAME_POSES:
             return None
         # The error that tolerances allow differs little between poses: a few poses are enough.
         few = np.flatnonzero(solved)[:: max(int(solved.sum()) // TOLERANCE_SAMPLE_SIZE, 1)]
         rows, a = reached.configuration.rows[few], observations.a[few]
         C, J = model.structure.jacobians(rows, a, model.values)
         free = ~np.asarray(model.fixed) & (model.table.tolerance > 0)
-        with np.errstate(all="ignore"):
-            by = np.linalg.pinv(np.nan_to_num(C[:, :, m.dependent_columns]))
-            by = by[:, : len(m.moved)] @ np.nan_to_num(J[:, :, free])
+        by, _ = follow_closure(model, np.nan_to_num(C), np.nan_to_num(J[:, :, free]))
         spread = np.zeros((len(C), 6))
         frame = model.table.tolerance[_numbers(model)]
         turned_by = np.array([p.unit == "rad" for p in model.table])[_numbers(model)]
@@ -394,16 +392,14 @@ class DevicePoses(PosePairs):
             or max(np.linalg.norm(v) for v in turns) > MAX_DISPLACEMENT_RAD
         )
 
-    def is_free(self, name: str) -> bool:
-        """Whether a parameter of the sensor can be fitted: the closure holds only the coordinates
-        in which the robot moves, no pose determines the target of a platform that does not tilt,
-        and an effect may state it."""
-        if not name.startswith(FRAME_PARAMETERS):
-            return False
-        _, part, coordinate = name.split(".")
-        if part == "frame":
-            return coordinate in list_shown_displacements(self.moves)
-        return coordinate in POSE[3:] or bool(self._free[6 + POSE.index(coordinate)])
+    def find_free(self, model: Model) -> Array:
+        """Mask of the parameters of the sensor that can be fitted: the closure holds only the
+        coordinates in which the robot moves, no pose determines the target of a platform that does
+        not tilt, and an effect may state it."""
+        shown = [f"{FRAME}{c}" for c in list_shown_displacements(self.moves)]
+        turns_or_told = [c.startswith("r") or self._free[6 + i] for i, c in enumerate(POSE)]
+        shown += [f"{TARGET}{c}" for c, free in zip(POSE, turns_or_told, strict=True) if free]
+        return np.isin(model.table.names, shown)
 
 
 def _with_frames(model: Model, frames: Frames) -> Model:
@@ -414,16 +410,16 @@ def _with_frames(model: Model, frames: Frames) -> Model:
     hidden = [f"frame.{c}" for c in POSE if c not in shown and f"frame.{c}" in names]
     sensor = replace(
         now,
-        position=_tuple(frames.f),
-        quaternion=_tuple(matrix_to_quaternion(frames.F)),
-        target_position=_tuple(frames.t),
-        target_quaternion=_tuple(matrix_to_quaternion(frames.T)),
+        position=tuple(frames.f.tolist()),
+        quaternion=tuple(matrix_to_quaternion(frames.F).tolist()),
+        target_position=tuple(frames.t.tolist()),
+        target_quaternion=tuple(matrix_to_quaternion(frames.T).tolist()),
         fixed=tuple(dict.fromkeys([*now.fixed, *hidden])),
     )
     others = tuple(s for s in model.sensors if s.name != SENSOR)
     model = model.with_sensors((*others, sensor))
     model = replace(model, fixed=model.fixed | model.table.matching(sensor.fixed_patterns()))
-    own = [name.startswith(FRAME_PARAMETERS) for name in model.table.names]
+    own = [name.startswith((FRAME, TARGET)) for name in model.table.names]
     return model.with_values(np.where(own, 0.0, model.values), model.covariance)
 
 
@@ -435,7 +431,7 @@ def _with_fitted_frames(model: Model, observations: Observations, there: DeviceP
     free = np.array(stations) & ~np.asarray(placed.fixed)
     if not free.any():
         return placed
-    free |= np.array([there.is_free(name) for name in placed.table.names])
+    free |= there.find_free(placed)
     near = observations.select(there.find_near(there.frames))
     try:
         fitted = minimise_pose_errors(placed, near, free)
@@ -477,10 +473,6 @@ def is_identified(model: Model) -> bool:
     return model.covariance is not None and _device(model) is not None
 
 
-def _tuple(values: Array) -> Any:
-    return tuple(float(v) for v in values)
-
-
 def _device(model: Model) -> Any:
     """The sensor that describes where the pose device stands; None if the model has none."""
     known = [sensor for sensor in model.sensors if sensor.name == SENSOR]
@@ -515,12 +507,12 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions, t
     # priors on the weak directions only, the choice of these may change from step to step for ever.
     # The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
     # robot: a tolerance of this origin would tilt {B} away from the drawing.
-    frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
+    frame = np.array([name.startswith(FRAME) for name in model.table.names])
     frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
-    found = implicit.estimate(model, observations, settled, prior=_prior_without(model, frame))
+    found = _fit_beside_robot(model, observations, settled, frame)
     views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
     if _device(model) is not None:
-        model = _with_frames(model, _turn_target(model.with_values(found.values), observations))
+        model = _with_frames(model, _turn_target(found, observations))
     model = model.with_values(np.where(views, found.values, model.values), model.covariance)
     device = _numbers(model)
     if not (free & device).any():
@@ -544,8 +536,11 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions, t
     return replace(model, fixed=fixed)
 
 
-def _prior_without(model: Model, unknown: Array) -> Prior:
-    """The tolerances of all parameters, but no knowledge of those that are `unknown` (mask).
+def _fit_beside_robot(
+    model: Model, observations: Observations, free: Array, unknown: Array
+) -> Model:
+    """Fit the `free` parameters. The tolerances of all are their prior, but nothing is known of
+    those that are `unknown` (mask).
 
     Effects may be as large as the largest that a diagnosis weighs. If they were held to their usual
     sizes, frames would stand where they imitate the rest of a large one.
@@ -553,7 +548,8 @@ def _prior_without(model: Model, unknown: Array) -> Prior:
     effects = np.array([p.group == "effect" for p in model.table])
     sizes = np.where(effects, LARGEST_EFFECT, 1.0)
     sigma = np.where(unknown, UNKNOWN_TOLERANCES, sizes) * model.table.tolerance
-    return Prior(model.table.nominal, np.diag(sigma**2))
+    prior = Prior(model.table.nominal, np.diag(sigma**2))
+    return model.with_values(implicit.estimate(model, observations, free, prior).values)
 
 
 def frames_of(model: Model) -> Frames:
@@ -561,26 +557,13 @@ def frames_of(model: Model) -> Frames:
     device = _device(model)
     if device is None:
         return IDENTITY_FRAMES
-    numbers, parts = model.table.mapping(model.values), []
-    for name, position, quaternion in (
-        ("frame", device.position, device.quaternion),
-        ("target", device.target_position, device.target_quaternion),
-    ):
-        shift, turn = (
-            np.array([numbers.get(f"device_frame.{name}.{kind}{a}", 0.0) for a in "xyz"])
-            for kind in ("", "r")
-        )
-        angle = np.linalg.norm(turn)  # Cayley's: 2 tan(angle / 2) along the axis
-        vector = turn * (2 * np.arctan(angle / 2) / angle if angle > 0 else 1.0)
-        R = rotation_matrix(vector) @ quaternion_to_matrix(quaternion)
-        parts += [np.array(position) + shift, R]
-    return Frames(*parts)
+    own = Named(model.table.names, model.values, f"{SENSOR}.")
+    parts = (part for frame in device.frames(own) for part in frame)
+    f, F, t, T = (np.array(ca.evalf(ca.SX(part))) for part in parts)
+    return Frames(f[:, 0], F, t[:, 0], T)
 
 
-def _registration(
-    model: Model, frame: str, why: str, told: bool, held: tuple[str, ...]
-) -> Registration:
-    sensor, frames = _device(model), model.frames
-    place = (sensor.position, sensor.quaternion)
-    target = (sensor.target_position, sensor.target_quaternion)
-    return Registration(frame, frames["base"], frames["platform"], why, *place, *target, told, held)
+def _state_frames(model: Model) -> dict[str, Any]:
+    """What a registration states of the frames of a model's sensor."""
+    names = ("position", "quaternion", "target_position", "target_quaternion")
+    return {name: getattr(_device(model), name) for name in names}

@@ -126,7 +126,7 @@ MAX_REMAINING_SHARE = 0.5  # [3, 2]
 MAX_REMAINING_SHARE_IDENTIFIED = 0.25
 # Rotation (rms) of the platform from which the start determines a target's position on it
 MIN_PLACEMENT_TILT_RAD = 0.02
-MIN_PLACEMENT_POSES = 4  # that start a sensor which shows poses [0, 0]
+MIN_FRAME_POSES = 4  # that determine the frames of a device or of a sensor [0, 0]
 # An error of the start, relative to the mechanism's length, from which other options are tried
 MIN_DOUBTFUL_SHARE = 0.15
 MIN_IMAGE_NOISE_DOF = 50  # residuals of images that measure their noise to a tenth

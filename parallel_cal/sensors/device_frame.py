@@ -48,15 +48,16 @@ class DeviceFrame(Sensor):
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
         """{B}<-{P} = {B}<-{device} ({device}<-{target}) {target}<-{P}."""
-        (f, F), (t, T) = self._frames(s)
+        (f, F), (t, T) = self.frames(s)
         turned = F @ self._gimbal(R, s, +1) @ T.T
         return f + F @ r - turned @ t, turned
 
     def shown(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
-        (f, F), (t, T) = self._frames(s)
+        (f, F), (t, T) = self.frames(s)
         return F.T @ (r + R @ t - f), self._gimbal(F.T @ R @ T, s, -1)
 
-    def _frames(self, s: Named) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    def frames(self, s: Named) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+        """{B} -> {device} and {P} -> {target}: each a position (3,) and a rotation (3, 3)."""
         frame = _frame(s, "frame", self.position, self.quaternion)
         return frame, _frame(s, "target", self.target_position, self.target_quaternion)
 
