@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations
@@ -19,7 +20,6 @@ from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
     MAX_UNSCALED_SHARE,
     MIN_COMMON_SCALE,
-    MIN_COMMON_SCALE_SIGMAS,
     MIN_SCALED_LENGTHS,
     UNKNOWN_TOLERANCES,
 )
@@ -72,7 +72,8 @@ class CommonScale:
             spread = max(float(np.sqrt(np.mean(moved**2))), 1.0)
             excess = 1.0 / float(found.values[scale[0]]) - 1.0
             one = cls(excess, spread * float(found.covariance[scale[0], scale[0]]) ** 0.5, sensor)
-            if abs(excess) > max(MIN_COMMON_SCALE_SIGMAS * one.sigma, MIN_COMMON_SCALE):
+            clear = excess**2 > 2 * EQUAL_EVIDENCE * one.sigma**2
+            if clear and abs(excess) > MIN_COMMON_SCALE:
                 return one
         return None
 

@@ -27,7 +27,6 @@ MAX_NAMED_WEAK_DIRECTIONS = 2  # weakest directions to name: a document has all 
 # of the validation error: the removal of an effect may cost so much
 MAX_NEGLIGIBLE_ERROR_RISE = 0.01  # [6, 6]
 # A factor that all lengths of a robot have in common, which a wrong size of a printed board causes
-MIN_COMMON_SCALE_SIGMAS = 4.0
 MIN_COMMON_SCALE = 2e-3  # nobody measures a printed board to less
 UNKNOWN_TOLERANCES = 1e3  # sigma of a number of which nothing is known
 # for a region, the noise, or where a law enters: more hardly change these
