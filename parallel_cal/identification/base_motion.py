@@ -14,10 +14,9 @@ import numpy as np
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.identification.frames import IDENTITY_FRAMES
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.predictions import reach
 from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.identification.thresholds import MIN_FRAME_POSES
-from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 
 
@@ -73,8 +72,7 @@ def compute_base_motion(model: Model, observations: Observations) -> BaseMotion 
     drawn = DevicePoses.of(robot.with_values(robot.table.nominal), observations)
     if drawn is None:
         return None
-    joints = observations.x[:, : len(robot.joints)]
-    found = Kinematics(robot).direct(joints, condition_columns(robot, observations))
+    found = reach(robot, observations)
     # Both poses are predicted: where one coordinate was measured, all are known.
     both = np.stack([drawn.placed, drawn.turned], axis=1) & found.solved[:, None]
     if both[:, 0].sum() < MIN_FRAME_POSES:

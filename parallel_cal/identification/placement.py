@@ -14,14 +14,13 @@ from parallel_cal.base.rotation import nearest_rotation, turns_from_mean
 from parallel_cal.base.units import MM
 from parallel_cal.identification.frames import PosePairs
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.predictions import reach
 from parallel_cal.identification.thresholds import (
     MIN_DOUBTFUL_SHARE,
     MIN_FRAME_POSES,
     MIN_PLACEMENT_TILT_RAD,
     MIN_UNREGISTERED_ERROR_RATIO,
 )
-from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.model import Model
 from parallel_cal.model.sensor import Sensor
@@ -36,8 +35,7 @@ def place_sensors(model: Model, observations: Observations, insist: bool = False
     started = {sensor.name for sensor in model.sensors if not sensor.is_placed}
     if not started:
         return model
-    joints = observations.x[:, : len(model.joints)]
-    reached = Kinematics(model).direct(joints, condition_columns(model, observations))
+    reached = reach(model, observations)
     channels = np.array(model.structure.channels)
     sensors = []
     for sensor in model.sensors:

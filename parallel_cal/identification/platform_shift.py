@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.frames import IDENTITY_FRAMES, PosePairs
-from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.predictions import condition_columns, reach
 from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import (
     MAX_MOVED_TOLERANCES,
@@ -45,14 +45,10 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
     """Compute how far the robot (not the device) moves with another identification of the same
     samples."""
     old, new = before.model.robot(), after.model.robot()
-    joints = after.observations.x[:, : len(old.joints)]
     target = Kinematics(old).inverse(
         *poses_in_workspace(old.mechanism, 200, np.random.default_rng(0))
     )
-    at_measured = [
-        Kinematics(robot).direct(joints, condition_columns(robot, result.observations))
-        for robot, result in ((old, before), (new, after))
-    ]
+    at_measured = (reach(old, before.observations), reach(new, after.observations))
     anywhere = [Kinematics(robot).direct(target.joints) for robot in (old, new)]
     poses = [_compare_poses(*both) for both in (at_measured, anywhere)]
     frames, device = IDENTITY_FRAMES, after.observations.measured[:, len(old.joints) :].any()

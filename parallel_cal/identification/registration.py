@@ -32,7 +32,7 @@ from parallel_cal.identification.moved_frames import (
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.predictions import condition_columns, predict_configurations
+from parallel_cal.identification.predictions import predict_configurations, reach
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
     MAX_DISPLACEMENT_M,
@@ -48,7 +48,6 @@ from parallel_cal.identification.thresholds import (
     ROUNDING,
     UNKNOWN_TOLERANCES,
 )
-from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Named
@@ -283,9 +282,7 @@ class DevicePoses(PosePairs):
         `quick`, poses that are not found at once count as not measured."""
         n, m = len(model.joints), model.mechanism
         seen = model.configuration(observations.x)
-        reached = Kinematics(model, quick=quick).direct(
-            seen.q, condition_columns(model, observations)
-        )
+        reached = reach(model, observations, quick)
         solved = reached.solved
         moves = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
         measured = solved[:, None] & observations.measured[:, n : n + 6]
@@ -303,18 +300,18 @@ class DevicePoses(PosePairs):
         frame = model.table.tolerance[_numbers(model)]
         turned_by = np.array([p.unit == "rad" for p in model.table])[_numbers(model)]
         shifts, turns = (np.sum(frame[k] ** 2) for k in (~turned_by, turned_by))
-        reach = float(np.median(np.linalg.norm(seen.r[placed], axis=1))) if placed.any() else 0.0
+        away = float(np.median(np.linalg.norm(seen.r[placed], axis=1))) if placed.any() else 0.0
         spread[:, m.moved] = np.sqrt(np.sum((by * model.table.tolerance[free]) ** 2, axis=2))
         sizes = [
             np.sqrt(np.median(np.sum(spread[:, part] ** 2, axis=1)) + more)
-            for part, more in ((slice(3), shifts + turns * reach**2), (slice(3, 6), turns))
+            for part, more in ((slice(3), shifts + turns * away**2), (slice(3, 6), turns))
         ]
-        away = turns_from_mean(reached.rotation[solved])
+        turned_away = turns_from_mean(reached.rotation[solved])
         # Wide tolerances must not hide a rotation that nobody mistakes for an error.
         allowed = min(
             float(np.median(np.sum(spread[:, 3:] ** 2, axis=1))), MAX_UNCERTAIN_TILT_RAD**2
         )
-        tilts = bool(np.mean(np.sum(away**2, axis=1)) > allowed) and moves[1]
+        tilts = bool(np.mean(np.sum(turned_away**2, axis=1)) > allowed) and moves[1]
         return cls(
             reached.position,
             reached.rotation,
