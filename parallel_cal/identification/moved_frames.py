@@ -14,6 +14,8 @@ from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 
+ZERO_STEPS = 5  # of the search: zeros shift by little
+
 DEVICE = "the device, or the base under the robot, moved"
 TARGET = "the target moved"
 BOTH = "device and target moved"
@@ -87,22 +89,25 @@ def explain_by_frames(
 
 def _explain_by_zeros(model: Model, observations: Observations, there: PosePairs) -> Explanation:
     """Explain errors by the zeros of the joints that fit best. They shift by no more than the range
-    of a joint: the robot could not be there."""
+    of a joint, and explain nothing at poses that the robot could not reach with them."""
     from scipy.optimize import least_squares
 
     q = observations.x[:, : len(model.joints)]
-    solver, at = Kinematics(model), condition_columns(model, observations)
+    solver, at = Kinematics(model, quick=True), condition_columns(model, observations)
     span = np.ptp(np.array(model.mechanism.joint_limits), axis=1)
 
     def predicted(zeros: np.ndarray) -> PosePairs:
-        reached = solver.direct(q + zeros, at)
-        return replace(there, r=reached.position, R=reached.rotation)
+        found = solver.direct(q + zeros, at)
+        known = found.solved[:, None, None]
+        r = np.where(known[:, 0], found.position, there.r)
+        return replace(there, r=r, R=np.where(known, found.rotation, there.R))
 
     found = least_squares(
         lambda zeros: predicted(zeros).compute_errors(there.now),
         np.zeros(q.shape[1]),
         bounds=(-span, span),
         x_scale=span,
+        max_nfev=ZERO_STEPS,
     )
     zeros = int(np.linalg.matrix_rank(found.jac))
     return Explanation.of(ZEROS, predicted(found.x), there.now, zeros)
