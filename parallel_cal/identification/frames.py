@@ -227,10 +227,10 @@ class PosePairs:
         """Mask (12,) of the coordinates of f, F, t, T that the measured coordinates show."""
         axes = "xyz"
         frame = [c not in self._hidden for c in POSE]
-        turns = {c[1] for c in self.moves if c.startswith("r")}
+        turns = [c for c in self.moves if c.startswith("r")]
         # A turn about an axis does not move the points on it.
-        target = [self.target_is_free and bool(turns - {axis}) for axis in axes]
-        seen = list_shown_displacements(tuple(c for c in self.moves if c.startswith("r")))
+        target = [self.target_is_free and any(c[1] != axis for c in turns) for axis in axes]
+        seen = list_shown_displacements(turns)
         everything = not self.turns or self._fully_turned.any()
         turn = [self._target_turn_is_free and (everything or f"r{axis}" in seen) for axis in axes]
         return np.array([*frame, *target, *turn])
