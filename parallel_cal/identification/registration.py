@@ -14,7 +14,6 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import (
-    matrix_to_quaternion,
     quaternion_to_matrix,
     rotation_vector,
     turns_from_mean,
@@ -405,14 +404,8 @@ def _with_frames(model: Model, frames: Frames) -> Model:
     names = [p.name for p in now.parameters(model.mechanism)]
     shown = list_shown_displacements(model.mechanism.moves)
     hidden = [f"frame.{c}" for c in POSE if c not in shown and f"frame.{c}" in names]
-    sensor = replace(
-        now,
-        position=tuple(frames.f.tolist()),
-        quaternion=tuple(matrix_to_quaternion(frames.F).tolist()),
-        target_position=tuple(frames.t.tolist()),
-        target_quaternion=tuple(matrix_to_quaternion(frames.T).tolist()),
-        fixed=tuple(dict.fromkeys([*now.fixed, *hidden])),
-    )
+    placed = now.placed(frames.f, frames.F, frames.t, frames.T, np.eye(3))
+    sensor = replace(placed, fixed=tuple(dict.fromkeys([*now.fixed, *hidden])))
     others = tuple(s for s in model.sensors if s.name != SENSOR)
     model = model.with_sensors((*others, sensor))
     model = replace(model, fixed=model.fixed | model.table.matching(sensor.fixed_patterns()))

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from parallel_cal.base.rotation import cayley, quaternion_to_matrix, rot_x, rot_y, rot_z
+from parallel_cal.base.rotation import (
+    cayley,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    rot_x,
+    rot_y,
+    rot_z,
+)
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 from parallel_cal.model.sensor import Sensor
@@ -45,6 +53,17 @@ class DeviceFrame(Sensor):
         names += [f"zero.{c}" for c in POSE[3:]] if self.gimbal else []
         units = {name: "rad" if name[-2] == "r" else "m" for name in names}
         return [Parameter(name, unit, 0.0, TOLERANCE[unit]) for name, unit in units.items()]
+
+    def placed(
+        self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray, R: np.ndarray
+    ) -> DeviceFrame:
+        return replace(
+            self,
+            position=tuple(f.tolist()),
+            quaternion=tuple(matrix_to_quaternion(F).tolist()),
+            target_position=tuple(t.tolist()),
+            target_quaternion=tuple(matrix_to_quaternion(T).tolist()),
+        )
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
         """{B}<-{P} = {B}<-{device} ({device}<-{target}) {target}<-{P}."""
