@@ -17,7 +17,7 @@ from parallel_cal.identification.thresholds import (
     MAX_MOVED_TOLERANCES,
     MAX_SHIFT_TO_SHOWN_RATIO,
 )
-from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
@@ -50,7 +50,19 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
     )
     at_measured = (reach(old, before.observations), reach(new, after.observations))
     anywhere = [Kinematics(robot).direct(target.joints) for robot in (old, new)]
-    poses = [_compare_poses(*both) for both in (at_measured, anywhere)]
+    # Both frames, {B} and {P}, may move.
+    poses = [
+        PosePairs(
+            ours.position,
+            ours.rotation,
+            theirs.position,
+            theirs.rotation,
+            measured=(ours.solved & theirs.solved)[:, None] & (np.arange(6) < 3),
+            length=1.0,
+            target_is_free=True,
+        )
+        for theirs, ours in (at_measured, anywhere)
+    ]
     frames, device = IDENTITY_FRAMES, after.observations.measured[:, len(old.joints) :].any()
     if shows_pose(after.model) and not device:
         frames = poses[0].descend(frames, poses[0].placed)
@@ -102,19 +114,4 @@ def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
         f"removes only {1e6 * shift.shown:.3g} um of the error at held-out poses: the samples do "
         "not separate errors of the device from those of the robot. Measure an artefact of known "
         "length, or state the device's certificate in the model file"
-    )
-
-
-def _compare_poses(one: Solutions, other: Solutions) -> PosePairs:
-    """The positions that one model predicts, compared with those of another model at the same
-    joints; both frames, {B} and {P}, may move."""
-    both = one.solved & other.solved
-    return PosePairs(
-        other.position,
-        other.rotation,
-        one.position,
-        one.rotation,
-        measured=both[:, None] & (np.arange(6) < 3),
-        length=1.0,
-        target_is_free=True,
     )
