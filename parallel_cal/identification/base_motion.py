@@ -14,12 +14,10 @@ import numpy as np
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.identification.frames import IDENTITY_FRAMES
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.predictions import reach
 from parallel_cal.identification.registration import DevicePoses
-from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.identification.thresholds import MIN_FRAME_POSES
 from parallel_cal.model.model import Model
-
-MIN_POSITIONS = 4  # with fewer, a rigid motion is not determined
 
 
 @dataclass(frozen=True)
@@ -68,17 +66,16 @@ class BaseMotion:
 def compute_base_motion(model: Model, observations: Observations) -> BaseMotion | None:
     """Compare an identified robot with the one drawn (all parameters nominal) at the same joints.
 
-    None if fewer than MIN_POSITIONS positions can be compared.
+    None if fewer than MIN_FRAME_POSES positions can be compared.
     """
     robot = model.robot()
     drawn = DevicePoses.of(robot.with_values(robot.table.nominal), observations)
     if drawn is None:
         return None
-    joints = observations.x[:, : len(robot.joints)]
-    found = Kinematics(robot).direct(joints, condition_columns(robot, observations))
+    found = reach(robot, observations)
     # Both poses are predicted: where one coordinate was measured, all are known.
     both = np.stack([drawn.placed, drawn.turned], axis=1) & found.solved[:, None]
-    if both[:, 0].sum() < MIN_POSITIONS:
+    if both[:, 0].sum() < MIN_FRAME_POSES:
         return None
     poses = replace(
         drawn,
@@ -95,6 +92,6 @@ def compute_base_motion(model: Model, observations: Observations) -> BaseMotion 
         tuple(rotation_vector(frames.F).tolist()),
         tuple(frames.t.tolist()),
         tuple(rotation_vector(frames.T).tolist()),
-        poses.compute_position_rms(IDENTITY_FRAMES),
-        poses.compute_position_rms(frames),
+        poses.compute_rms(IDENTITY_FRAMES),
+        poses.compute_rms(frames),
     )

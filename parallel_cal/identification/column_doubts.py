@@ -8,25 +8,26 @@ registration of the device, with the geometry as it is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, permutations, product
+from math import factorial
 
 import numpy as np
 
 from parallel_cal.base.units import ANGLES, MM
 from parallel_cal.identification.conventions import Convention, list_conventions
-from parallel_cal.identification.couplings import Coupling, list_couplings
+from parallel_cal.identification.couplings import list_couplings
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.identification.thresholds import (
     MAX_GUESS_SAMPLES,
     MAX_GUESS_SHARE,
+    MAX_GUESSES_OF_A_KIND,
     MAX_GUESSES_REFINED,
-    MAX_JOINTS_IN_ANY_ORDER,
-    MAX_JOINTS_OF_ANY_SIGN,
+    MIN_FRAME_POSES,
     MIN_GUESS_ERROR_RATIO,
-    MIN_PLACEMENT_POSES,
     MIN_QUICK_SHARE,
     MIN_REACHED_SHARE,
     MIN_SCALE_SAMPLES,
@@ -61,100 +62,21 @@ MIRRORS = {
     "y and z are exchanged": np.eye(3)[[0, 2, 1]],
 }
 
-
 PLACE = np.arange(6) < 3  # the coordinates of a pose that are its position
 
 
 @dataclass(frozen=True)
 class Guess:
-    """What samples mean: the reading of each joint is `factor` times that in the column of joint
-    `column`, plus `zero` (rad), or that of a `coupling`; positions are multiplied by
-    `length`; orientations are of another `convention`; the poses are `inverted`: those of the base
-    seen by the platform; the frame of the device is left-handed by one of MIRRORS, `mirror`, for
-    positions, and for orientations if `turns_mirrored`. `scale` describes factors of a unit."""
+    """One thing that samples may mean, in `words` with the entries of a column map.
 
-    column: tuple[int, ...]
-    factor: tuple[float, ...]
-    zero: tuple[float, ...]
-    scale: str = ""
-    coupling: Coupling | None = None
-    length: float = 1.0
-    convention: Convention | None = None
-    inverted: bool = False
-    mirror: str = ""
-    turns_mirrored: bool = False
+    `joints` returns the joint readings (N, nq) that were meant. `poses` returns the poses that were
+    meant, given the rotation of the device that the positions show (None if they show none).
+    Without these, readings or poses mean what they were taken for.
+    """
 
-    @classmethod
-    def as_given(cls, joints: int) -> Guess:
-        return cls(tuple(range(joints)), (1.0,) * joints, (0.0,) * joints)
-
-    @property
-    def keeps_joints(self) -> bool:
-        """Whether the joint readings mean what they were taken for."""
-        given = Guess.as_given(len(self.column))
-        return (self.column, self.factor, self.zero, self.coupling) == (
-            *(given.column, given.factor, given.zero),
-            None,
-        )
-
-    def read_joints(self, q: Array) -> Array:
-        """Return the joint readings (N, nq) that were meant."""
-        meant = q[:, self.column] * np.array(self.factor) + np.array(self.zero)
-        return np.asarray(meant if self.coupling is None else self.coupling.apply(meant))
-
-    def read_poses(self, there: DevicePoses, F: Array | None) -> DevicePoses:
-        """Return the poses that were meant; `F` is the rotation of the device that the positions
-        show, None if they show none."""
-        r, R, measured = there.seen_r, there.seen_R, there.measured
-        if self.convention is not None:
-            R = self.convention.choose(there, F)
-        if self.inverted:
-            R = R.transpose(0, 2, 1)
-            r = -np.einsum("nij,nj->ni", R, r)
-            measured = measured & (there.turned[:, None] | ~PLACE)
-        if self.mirror:
-            mirror = MIRRORS[self.mirror]
-            r, R = r @ mirror, mirror @ R @ mirror if self.turns_mirrored else R
-        return replace(there, seen_r=self.length * r, seen_R=R, measured=measured)
-
-    def describe(self, names: Sequence[str]) -> str:
-        """Describe what was meant, with the entries of a column map."""
-        parts = []
-        if moved := [i for i, k in enumerate(self.column) if i != k]:
-            columns = ", ".join(names[self.column[i]] for i in moved)
-            parts.append(f"{', '.join(names[i] for i in moved)} are in the columns of {columns}")
-        if self.scale:
-            parts.append(f"the joints are in {self.scale} (column map: unit)")
-        elif turned := [names[i] for i, factor in enumerate(self.factor) if factor < 0]:
-            verb = "has" if len(turned) == 1 else "have"
-            entry = f"{turned[0]}: {{column: ..., factor: -1}}"
-            parts.append(f"{', '.join(turned)} {verb} the other sign (column map: {entry})")
-        for name, zero in zip(names, self.zero, strict=True):
-            if zero:
-                angle = f"{np.degrees(zero):g} deg"
-                entry = f"{name}: {{column: ..., offset: {angle}}}"
-                parts.append(f"{angle} are added to {name} (column map: {entry})")
-        if self.coupling is not None:
-            parts.append(self.coupling.describe(names))
-        if self.length != 1:
-            parts.append(f"the positions are in {LENGTHS[self.length]} (column map: unit)")
-        if self.convention is not None:
-            parts.append(self.convention.words)
-        if self.inverted:
-            parts.append(
-                "the poses are inverse, those of {B} seen by {P} (invert them: position -R^T r, "
-                "rotation R^T)"
-            )
-        if self.mirror:
-            parts.append(
-                LEFT_HANDED
-                if self.turns_mirrored
-                else f"the positions, but not the orientations, are left-handed: {self.mirror}"
-            )
-        return " and ".join(parts)
-
-
-LEFT_HANDED = "the frame of the device is left-handed (two of its axes are exchanged)"
+    words: str
+    joints: Callable[[Array], Array] | None = None
+    poses: Callable[[DevicePoses, Array | None], DevicePoses] | None = None
 
 
 def doubt_columns(
@@ -194,13 +116,13 @@ def doubt_columns(
         """Of guesses that the poses do not decide between, prefer readings inside the limits, and a
         device that need not be turned."""
         guess, poses = one
-        q = guess.read_joints(few.x[:, :n])
+        q = few.x[:, :n] if guess.joints is None else guess.joints(few.x[:, :n])
         outside = float(np.mean((q < low) | (q > high)))
         return outside, poses.compute_median_error(poses.now)
 
     guess, poses = min(fitting, key=preference)
-    others = [one for one, _ in fitting if one.convention or one.mirror]
-    meant = ", or if ".join(dict.fromkeys(one.describe(model.joints) for one in (guess, *others)))
+    others = [one for one, _ in fitting if one.poses is not None]
+    meant = ", or if ".join(dict.fromkeys(one.words for one in (guess, *others)))
     smaller = ""
     if np.isfinite(before):
         ratio = before / poses.compute_median_error(poses.frames)
@@ -227,14 +149,14 @@ def _find_fitting_guesses(
     placed, turned = (
         bool(few.measured[:, part].any()) for part in (slice(n, n + 3), slice(n + 3, None))
     )
-    given = _read_joints(model, few, Guess.as_given(n))
+    given = _read_joints(model, few)
     F = None  # the rotation of the device that positions show, whatever orientations mean
-    if given is not None and given.placed.sum() >= MIN_PLACEMENT_POSES:
+    if given is not None and given.placed.sum() >= MIN_FRAME_POSES:
         F = replace(given, measured=given.measured & PLACE).frames.F
     guesses = [
-        (guess, guess.read_poses(poses, F))
-        for guess in _list_guesses(model, placed, turned)
-        if (poses := given if guess.keeps_joints else _read_joints(model, few, guess))
+        (guess, poses if guess.poses is None else guess.poses(poses, F))
+        for guess in (*_guess_joints(model), *_guess_poses(model, placed, turned))
+        if (poses := given if guess.joints is None else _read_joints(model, few, guess.joints))
     ]
     guesses.sort(key=lambda one: one[1].compute_closed_form_error())
     best = guesses[:MAX_GUESSES_REFINED]
@@ -256,39 +178,78 @@ def _find_fitting_guesses(
     return fitting, before
 
 
-def _list_guesses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
-    """Yield what may be wrong; positions are measured if `placed`, orientations if `turned`."""
-    joints, units = len(model.joints), model.mechanism.joint_units
-    given = Guess.as_given(joints)
-    if joints <= MAX_JOINTS_OF_ANY_SIGN:
-        signs = list(product((1.0, -1.0), repeat=joints))[1:]
-    else:
-        one = 1 - 2 * np.eye(joints)
-        signs = [tuple(row) for row in (*one.tolist(), [-1.0] * joints)]
-    yield from (replace(given, factor=sign) for sign in signs)
-    yield from (replace(given, column=order) for order in _list_orders(joints))
+def _guess_joints(model: Model) -> Iterator[Guess]:
+    """Yield what may be wrong with the readings of joints."""
+    names, units = model.joints, model.mechanism.joint_units
+    n = len(names)
+    each = [tuple(-1.0 if i == k else 1.0 for i in range(n)) for k in range(n)]
+    every = list(product((1.0, -1.0), repeat=n))[1:] if 2**n <= MAX_GUESSES_OF_A_KIND else []
+    for signs in every or (*each, (-1.0,) * n):
+        turned = [name for name, sign in zip(names, signs, strict=True) if sign < 0]
+        has = "has" if len(turned) == 1 else "have"
+        entry = f"(column map: {turned[0]}: {{column: ..., factor: -1}})"
+        words = f"{', '.join(turned)} {has} the other sign {entry}"
+        yield Guess(words, partial(np.multiply, np.array(signs)))
+    for order in _list_orders(n):
+        moved = [(names[i], names[k]) for i, k in enumerate(order) if i != k]
+        own, columns = map(", ".join, zip(*moved, strict=True))
+        words = f"{own} are in the columns of {columns}"
+        yield Guess(words, partial(np.take, indices=order, axis=1))
     for unit in sorted(set(units)):
-        for factor, words in SCALES[unit].items():
-            factors = tuple(factor if own == unit else 1.0 for own in units)
-            yield replace(given, factor=factors, scale=words)
-    for i, unit in enumerate(units):
+        for factor, meant in SCALES[unit].items():
+            factors = np.where(np.array(units) == unit, factor, 1.0)
+            words = f"the joints are in {meant} (column map: unit)"
+            yield Guess(words, partial(np.multiply, factors))
+    for name, unit, one in zip(names, units, np.eye(n), strict=True):
         for turn in QUARTER_TURNS if unit == "rad" else ():
-            yield replace(given, zero=tuple(turn if k == i else 0.0 for k in range(joints)))
+            angle = f"{np.degrees(turn):g} deg"
+            entry = f"(column map: {name}: {{column: ..., offset: {angle}}})"
+            yield Guess(f"{angle} are added to {name} {entry}", partial(np.add, turn * one))
+    for coupling in list_couplings(units):
+        yield Guess(coupling.describe(names), coupling.apply)
+
+
+def _guess_poses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
+    """Yield what may be wrong with positions, if they are measured (`placed`), and with
+    orientations, if they are (`turned`)."""
+
+    def mirrored(mirror: Array, R: bool, there: DevicePoses, F: Array | None) -> DevicePoses:
+        turn = mirror @ there.seen_R @ mirror if R else there.seen_R
+        return replace(there, seen_r=there.seen_r @ mirror, seen_R=turn)
+
+    def scaled(factor: float, there: DevicePoses, F: Array | None) -> DevicePoses:
+        return replace(there, seen_r=factor * there.seen_r)
+
+    def meant(convention: Convention, there: DevicePoses, F: Array | None) -> DevicePoses:
+        return replace(there, seen_R=convention.choose(there, F))
+
+    def inverted(there: DevicePoses, F: Array | None) -> DevicePoses:
+        R = there.seen_R.transpose(0, 2, 1)
+        r = -np.einsum("nij,nj->ni", R, there.seen_r)
+        measured = there.measured & (there.turned[:, None] | ~PLACE)
+        return replace(there, seen_r=r, seen_R=R, measured=measured)
+
     if placed:
-        yield from (replace(given, length=factor) for factor in LENGTHS)
-        yield replace(given, mirror="z has the other sign", turns_mirrored=True)
-        yield from (replace(given, mirror=words) for words in MIRRORS if turned)
+        for factor, unit in LENGTHS.items():
+            words = f"the positions are in {unit} (column map: unit)"
+            yield Guess(words, poses=partial(scaled, factor))
+        words = "the frame of the device is left-handed (two of its axes are exchanged)"
+        yield Guess(words, poses=partial(mirrored, np.diag([1.0, 1.0, -1.0]), True))
+        for exchanged, mirror in MIRRORS.items() if turned else ():
+            words = f"the positions, but not the orientations, are left-handed: {exchanged}"
+            yield Guess(words, poses=partial(mirrored, mirror, False))
     if turned and max(model.mechanism.moved) >= 3:
-        yield from (replace(given, convention=one) for one in list_conventions())
+        for convention in list_conventions():
+            yield Guess(convention.words, poses=partial(meant, convention))
         if placed:
-            yield replace(given, inverted=True)
-    yield from (replace(given, coupling=one) for one in list_couplings(units))
+            words = "the poses are inverse, those of {B} seen by {P} (invert them: position -R^T r,"
+            yield Guess(f"{words} rotation R^T)", poses=inverted)
 
 
 def _list_orders(joints: int) -> list[tuple[int, ...]]:
     """List every order of a few joints; of many, two exchanged ones, and counts that begin at
     another joint or go the other way round."""
-    if joints <= MAX_JOINTS_IN_ANY_ORDER:
+    if factorial(joints) <= MAX_GUESSES_OF_A_KIND:
         return list(permutations(range(joints)))[1:]
     as_given = list(range(joints))
     found = [tuple(np.roll(as_given, k).tolist()) for k in range(1, joints)]
@@ -300,17 +261,20 @@ def _list_orders(joints: int) -> list[tuple[int, ...]]:
     return found
 
 
-def _read_joints(model: Model, observations: Observations, guess: Guess) -> DevicePoses | None:
-    """Return the poses with the joint readings that a guess means; None if the robot cannot be
+def _read_joints(
+    model: Model, observations: Observations, read: Callable[[Array], Array] | None = None
+) -> DevicePoses | None:
+    """Return the poses with the joint readings that were meant; None if the robot cannot be
     there."""
     x, n = observations.x.copy(), len(model.joints)
-    x[:, :n] = guess.read_joints(x[:, :n])
+    if read is not None:
+        x[:, :n] = read(x[:, :n])
     there = DevicePoses.of(model, replace(observations, x=x), quick=True)
     # Where more joints than freedoms contradict each other a little, many solutions take longer.
     has_more_joints = len(model.joints) > len(model.mechanism.moves)
     least = MIN_QUICK_SHARE if has_more_joints else MIN_REACHED_SHARE
     # Fewer different poses can be matched to any readings.
-    if there is None or there.poses < MIN_PLACEMENT_POSES:
+    if there is None or there.poses < MIN_FRAME_POSES:
         return None
     if np.mean(there.placed | there.turned) < least:
         return None

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations
@@ -19,7 +20,6 @@ from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
     MAX_UNSCALED_SHARE,
     MIN_COMMON_SCALE,
-    MIN_COMMON_SCALE_SIGMAS,
     MIN_SCALED_LENGTHS,
     UNKNOWN_TOLERANCES,
 )
@@ -44,10 +44,16 @@ class CommonScale:
         A second fit identifies the stated length, too. The tolerances of all other parameters are
         its prior, except those of the places of the sensor's parts, which grow with the robot.
         """
+        own = free & (np.arange(len(free)) < len(model.mechanism.parameters))
+        shared, _, lengths = _fit_scale(model, own)
+        # Where joints read lengths, the data may hold the others near nominal.
+        least = 0.0 if "m" in model.mechanism.joint_units else MIN_COMMON_SCALE
+        if not lengths or abs(shared) < least:
+            return None
         for sensor in model.sensors:
             names = [f"{sensor.name}.{one}" for one in sensor.scale_parameters]
             scale = [model.table.index_of(name) for name in names]
-            if not scale or free[scale].any() or not _may_differ(model, free):
+            if not scale or free[scale].any():
                 continue
             size = model.table.tolerance.copy()
             parts = [f"{sensor.name}.{part}" for part in (sensor.base_part, sensor.platform_part)]
@@ -61,13 +67,13 @@ class CommonScale:
                 found = implicit.estimate(model, observations, freed, prior)
             except FitError:
                 continue  # the fit without the scale says what is wrong
-            own = free & (np.arange(len(free)) < len(model.mechanism.parameters))
             moved = (found.values - model.table.nominal)[own] / model.table.tolerance[own]
             # A robot that differs by more than its tolerances says less about its size.
             spread = max(float(np.sqrt(np.mean(moved**2))), 1.0)
             excess = 1.0 / float(found.values[scale[0]]) - 1.0
             one = cls(excess, spread * float(found.covariance[scale[0], scale[0]]) ** 0.5, sensor)
-            if abs(excess) > max(MIN_COMMON_SCALE_SIGMAS * one.sigma, MIN_COMMON_SCALE):
+            clear = excess**2 > 2 * EQUAL_EVIDENCE * one.sigma**2
+            if clear and abs(excess) > MIN_COMMON_SCALE:
                 return one
         return None
 
@@ -85,30 +91,24 @@ class CommonScale:
 def find_scale_of_lengths(model: Model, geometry: np.ndarray) -> float | None:
     """The relative change that all lengths of the geometry share, if it is most of what moved them,
     as a wrong unit or device causes; else None."""
-    lengths = geometry & np.array([p.unit == "m" for p in model.table])
-    size = (model.table.nominal / model.table.tolerance)[lengths]
-    if np.count_nonzero(size) < MIN_SCALED_LENGTHS:
-        return None
-    moved = (model.values / model.table.tolerance)[lengths] - size
+    scale, left, lengths = _fit_scale(model, geometry)
+    return scale if lengths >= MIN_SCALED_LENGTHS and left < MAX_UNSCALED_SHARE else None
+
+
+def _fit_scale(model: Model, own: np.ndarray) -> tuple[float, float, int]:
+    """The relative change that the lengths of `own` (mask) share, the share of the squares of what
+    moved them, in tolerances, that it leaves, and how many of them are not zero in the drawing."""
+    table = model.table
+    lengths = own & np.array([p.unit == "m" for p in table])
+    size = (table.nominal / table.tolerance)[lengths]
+    moved = ((model.values - table.nominal) / table.tolerance)[lengths]
+    if not (size.any() and moved.any()):
+        return 0.0, 1.0, int(np.count_nonzero(size))
     scale = float(moved @ size) / float(size @ size)
-    rest = np.sum((moved - scale * size) ** 2)
-    return scale if rest < MAX_UNSCALED_SHARE * np.sum(moved**2) else None
+    left = float(np.sum((moved - scale * size) ** 2) / np.sum(moved**2))
+    return scale, left, int(np.count_nonzero(size))
 
 
 def describe_scale_of_lengths(scale: float) -> str:
     larger = "larger" if scale > 0 else "smaller"
     return f"all lengths would be {100 * abs(scale):.3g} % {larger} than drawn"
-
-
-def _may_differ(model: Model, free: np.ndarray) -> bool:
-    """Return whether the free lengths together differ enough from nominal for a second fit.
-
-    Where joints read lengths, the data may hold the others near nominal.
-    """
-    own = np.arange(len(free)) < len(model.mechanism.parameters)
-    lengths = own & free & np.array([p.unit == "m" for p in model.table])
-    if "m" in model.mechanism.joint_units:
-        return bool(lengths.any())
-    nominal, tolerance = model.table.nominal[lengths], model.table.tolerance[lengths]
-    moved, along = (model.values[lengths] - nominal) / tolerance, nominal / tolerance
-    return abs(float(along @ moved)) > MIN_COMMON_SCALE * float(along @ along) > 0

@@ -116,29 +116,25 @@ class PosePairs:
     @cached_property
     def frames(self) -> Frames:
         """The frames that minimise the distance of measured and predicted poses; the last step
-        ignores the worst tenth."""
-        everything = np.ones(len(self.r), dtype=bool)
-        ends = [self.descend(start, everything) for start in self._starts()]
-        best = min(ends, key=lambda end: float(np.median(self._sizes(end))))
-        sizes = self._sizes(best)
-        return self.descend(best, sizes <= MIN_OUTLIER_RATIO * np.median(sizes[self._used]))
+        ignores poses that are far off."""
+        best = self.find_frames()
+        return self.descend(best, self.find_near(best))
+
+    def find_frames(self, device: bool = True, target: bool = True) -> Frames:
+        """The frames with the smallest median error; the `device` or the `target` may be known to
+        be where it is `now`."""
+        f, F, t, T = vars(self.now).values()
+        kept = ({} if device else {"f": f, "F": F}) | ({} if target else {"t": t, "T": T})
+        everything, free = np.arange(len(self.r)), np.repeat([device, target], 6)
+        starts = (replace(start, **kept) for start in self._starts())
+        ends = [self.descend(start, everything, free) for start in starts]
+        return min(ends, key=self.compute_median_error)
 
     def find_near(self, frames: Frames) -> Array:
         """Indices of the measured poses without those that are far off with these frames."""
         sizes = self._sizes(frames)
         near = sizes <= MIN_OUTLIER_RATIO * np.median(sizes[self._used])
         return np.flatnonzero(near & self._used)
-
-    def start_of_device(self) -> Frames:
-        """The frame of the device that fits the positions best, or else the orientations, if the
-        target sits where the model has it."""
-        now, near = self.now, self.now
-        if self.placed.sum() >= 3:
-            near = self._from_positions(now.t)
-        elif self.turned.any():
-            ours, seen = self.R[self.turned] @ now.T, self.seen_R[self.turned]
-            near = replace(now, F=nearest_rotation((ours @ seen.transpose(0, 2, 1)).sum(axis=0)))
-        return replace(near, t=now.t, T=now.T)
 
     def count_free(self, frames: Frames, free: Array) -> int:
         """How many of the coordinates that are `free` the poses determine."""
@@ -189,11 +185,6 @@ class PosePairs:
             spread = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
         return self.compute_rms(self.frames) / spread if spread > 0 else 0.0
 
-    def compute_position_rms(self, frames: Frames) -> float:
-        """Rms distance (m) of the measured positions from the predicted ones."""
-        away = self._residual(frames)[self.placed, :3]
-        return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
-
     def compute_closed_form_error(self) -> float:
         """Median distance of the poses (m) with the best of the frames from which `frames`
         descends."""
@@ -204,51 +195,42 @@ class PosePairs:
         return float(np.median(self._sizes(frames)[self._used]))
 
     def _sizes(self, frames: Frames) -> Array:
-        """Norms (N,) of `_residual`, where orientations were measured as a whole without the axes
-        of their errors."""
-        if not (self._fully_turned == self.turned).all():
-            return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
-        apart = frames.F @ self.seen_R - self.R @ frames.T
-        # |A - B|^2 = 8 sin^2(angle / 2), the sum of squares of a difference of two rotations
-        sine = np.sqrt(np.einsum("nij,nij->n", apart, apart) / 8)
-        angles = np.where(self.turned, 2 * np.arcsin(np.minimum(sine, 1.0)), 0.0)
-        away = self._displacements(frames)
-        return np.asarray(np.sqrt(np.sum(away**2, axis=1) + (self.length * angles) ** 2))
+        """Norms (N,) of `_residual`."""
+        return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
 
     def _residual(self, frames: Frames) -> Array:
         """(N, 6) in axes of the device: position (m), then orientation times length; zero where not
         measured."""
-        turn = rotation_vector(frames.F @ self.seen_R @ (self.R @ frames.T).transpose(0, 2, 1))
-        turned = np.where(self.measured[:, 3:], self.length * turn @ frames.F, 0.0)
-        return np.hstack([self._displacements(frames), np.nan_to_num(turned)])
-
-    def _displacements(self, frames: Frames) -> Array:
-        """The positions of `_residual`, (N, 3)."""
         place = self.seen_r @ frames.F.T + frames.f - self.r - self.R @ frames.t
-        return np.nan_to_num(np.where(self.measured[:, :3], place @ frames.F, 0.0))
+        turn = rotation_vector(frames.F @ self.seen_R @ (self.R @ frames.T).transpose(0, 2, 1))
+        away = np.hstack([place @ frames.F, self.length * turn @ frames.F])
+        return np.nan_to_num(np.where(self.measured, away, 0.0))
 
     def descend(self, frames: Frames, used: Array, free: Array | None = None) -> Frames:
         """Gauss-Newton over the frames, or over those of their 12 coordinates that are `free`;
         directions that no pose determines stay unchanged."""
         for _ in range(STEPS):
-            residual = self._residual(frames)[used].ravel()
-            J = self._jacobian(frames)[used].reshape(len(residual), 12)
-            J = J if free is None else J * free
-            step = -np.linalg.lstsq(J, residual, rcond=ROUNDING)[0]
+            step = self._step(frames, used, np.ones(12) if free is None else free)
             frames = frames.moved(np.clip(step, -1, 1))
             if np.abs(step).max() < NEWTON_STEP:
                 break
         return frames
+
+    def _step(self, frames: Frames, used: Array, free: Array) -> Array:
+        """The step (12,) of Gauss-Newton over the coordinates that are `free`."""
+        J = (self._jacobian(frames)[used] * free).reshape(-1, 12)
+        residual = self._residual(frames)[used].ravel()
+        return np.asarray(-np.linalg.lstsq(J, residual, rcond=ROUNDING)[0])
 
     @cached_property
     def _free(self) -> Array:
         """Mask (12,) of the coordinates of f, F, t, T that the measured coordinates show."""
         axes = "xyz"
         frame = [c not in self._hidden for c in POSE]
-        turns = {c[1] for c in self.moves if c.startswith("r")}
+        turns = [c for c in self.moves if c.startswith("r")]
         # A turn about an axis does not move the points on it.
-        target = [self.target_is_free and bool(turns - {axis}) for axis in axes]
-        seen = list_shown_displacements(tuple(c for c in self.moves if c.startswith("r")))
+        target = [self.target_is_free and any(c[1] != axis for c in turns) for axis in axes]
+        seen = list_shown_displacements(turns)
         everything = not self.turns or self._fully_turned.any()
         turn = [self._target_turn_is_free and (everything or f"r{axis}" in seen) for axis in axes]
         return np.array([*frame, *target, *turn])
@@ -309,18 +291,10 @@ class PosePairs:
         return self._complete_frames(nearest_rotation(H + open_turn), t)
 
     def _complete_frames(self, F: Array, t: Array | None = None) -> Frames:
-        """Complete the frames for a given F (and t)."""
+        """Complete the frames for a given F (and t): the positions are linear in f and t."""
         T = np.eye(3)
         if self.turned.any() and self._target_turn_is_free:
             T = self.find_target_turn(F, self.turned)
-        if not self.placed.any():
-            return Frames(np.zeros(3), F, np.zeros(3), T)
         start = Frames(self.now.f, F, self.now.t if t is None else t, T)
-        # The positions are linear in f and t.
-        free = self._free[[0, 1, 2, 6, 7, 8]] & np.repeat([True, t is None], 3)
-        R = np.nan_to_num(self.R)
-        J = F.T @ np.concatenate([np.broadcast_to(np.eye(3), R.shape), -R], axis=2)
-        J = (J * self.measured[:, :3, None] * free).reshape(-1, 6)
-        away = self._displacements(start).ravel()
-        step = -np.linalg.lstsq(J, away, rcond=ROUNDING)[0]
-        return replace(start, f=start.f + step[:3], t=start.t + step[3:])
+        free = np.repeat([True, False, t is None, False], 3)
+        return start.moved(self._step(start, self.placed, free))

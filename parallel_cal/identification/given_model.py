@@ -155,14 +155,10 @@ class GivenModel:
         self, model: Model, dataset: Dataset, joint_sigma: float | None, insist: bool
     ) -> Observations:
         """Make observations; those of the registration serve if nothing has changed since."""
-        known = self.unregistered_observations
         unchanged = model is self.unregistered and dataset is self.dataset
-        if (
-            known is not None
-            and unchanged
-            and (joint_sigma, insist) == (self.joint_sigma, self.insist)
-        ):
-            return known
+        unchanged &= (joint_sigma, insist) == (self.joint_sigma, self.insist)
+        if unchanged and self.unregistered_observations is not None:
+            return self.unregistered_observations
         return observe(model, dataset, joint_sigma, insist)
 
     @cached_property
@@ -208,9 +204,9 @@ class GivenModel:
     @property
     def is_judged_by_unused_samples(self) -> bool:
         """Whether no fit in the model's history used any of these samples; False if not known."""
-        fits = [entry for entry in self.unregistered.history if "dataset" in entry]
-        if not fits:  # a fit without a step in the history leaves a covariance
+        if not was_fitted(self.unregistered):  # a fit without a step leaves a covariance
             return self.unregistered.covariance is None
+        fits = (entry for entry in self.unregistered.history if "dataset" in entry)
         known = bool(self.dataset.sha256) and all(map(_recordings_of, fits))
         return known and not self.known_samples.any()
 
@@ -235,11 +231,8 @@ def was_fitted(model: Model) -> bool:
 
 def last_fit_to(model: Model, dataset: Dataset) -> Mapping[str, Any] | None:
     """The last fit in a model's history if it used these samples, whichever of them it excluded."""
-    fits = (entry for entry in reversed(model.history) if "dataset" in entry)
-    last: Mapping[str, Any] = next(fits, {})
-    data = last.get("dataset")
-    known = isinstance(data, Mapping) and dataset.sha256 and data.get("sha256") == dataset.sha256
-    return last if known else None
+    last: Mapping[str, Any] = next((e for e in reversed(model.history) if "dataset" in e), {})
+    return last if dataset.sha256 and _recordings_of(last)[:1] == (dataset.sha256,) else None
 
 
 def was_last_fitted_to(model: Model, dataset: Dataset) -> bool:

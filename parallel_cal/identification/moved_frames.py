@@ -11,12 +11,10 @@ from parallel_cal.base.units import MM
 from parallel_cal.identification.frames import Frames, PosePairs
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
-from parallel_cal.identification.thresholds import ROUNDING
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 
-ZERO_STEPS = 3  # of Gauss-Newton: zeros shift by little
-ZERO_DIFFERENCE = 1e-6  # rad or m, of a numerical derivative
+ZERO_STEPS = 5  # of the search: zeros shift by little
 
 DEVICE = "the device, or the base under the robot, moved"
 TARGET = "the target moved"
@@ -26,13 +24,24 @@ ZEROS = "the zeros of the joints changed"
 
 @dataclass(frozen=True)
 class Explanation:
-    """What may have moved between two recordings: its number of parameters, the rms error that
-    remains (m; rad if only orientations were measured), and its information criterion."""
+    """What may explain errors of measured poses (rows,), in m: the errors that remain, and how many
+    parameters were found from them. `rms` is the error of a pose (m; rad if only orientations were
+    measured)."""
 
     what: str
+    errors: np.ndarray
     parameters: int
     rms: float
-    criterion: float
+
+    @classmethod
+    def of(cls, what: str, there: PosePairs, frames: Frames, parameters: int) -> Explanation:
+        return cls(what, there.compute_errors(frames), parameters, there.compute_rms(frames))
+
+    @property
+    def criterion(self) -> float:
+        """The Bayesian information criterion, for errors of unknown size; smaller is likelier."""
+        rows, squares = self.errors.size, max(float(np.sum(self.errors**2)), 1e-300)
+        return rows * float(np.log(squares / rows)) + self.parameters * float(np.log(rows))
 
 
 def describe_what_moved(model: Model, observations: Observations, there: PosePairs) -> str:
@@ -59,57 +68,46 @@ def rank_what_moved(
 ) -> list[Explanation]:
     """Rank what may have moved since the frames `there.now` were found, the likeliest first.
 
-    Each is fitted alone, with the robot and all the rest as they were. The Bayesian information
-    criterion ranks them.
+    Each is fitted alone, with the robot and all the rest as they were.
     """
-    everything = np.ones(len(there.r), dtype=bool)
-    device, target = np.arange(12) < 6, np.arange(12) >= 6
-    near = there.start_of_device()
-    fits: list[tuple[str, np.ndarray, Frames]] = [
-        (DEVICE, device, there.descend(near, everything, device)),
-        (TARGET, target, there.descend(there.now, everything, target)),
-        (BOTH, device | target, there.frames),
-    ]
     found = [
-        _explain(what, there, frames, there.count_free(frames, free)) for what, free, frames in fits
+        explain_by_frames(what, there, there.find_frames(device, target), device, target)
+        for what, device, target in ((DEVICE, True, False), (TARGET, False, True))
     ]
-    with_zeros, zeros = _with_other_zeros(model, observations, there)
-    found.append(_explain(ZEROS, with_zeros, there.now, zeros))
+    found.append(explain_by_frames(BOTH, there, there.frames))
+    found.append(_explain_by_zeros(model, observations, there))
     return sorted(found, key=lambda one: one.criterion)
 
 
-def _explain(what: str, there: PosePairs, frames: Frames, parameters: int) -> Explanation:
-    errors = there.compute_errors(frames)
-    rows = errors.size
-    squares = max(float(np.sum(errors**2)), 1e-300)
-    criterion = rows * float(np.log(squares / rows)) + parameters * float(np.log(rows))
-    return Explanation(what, parameters, there.compute_rms(frames), criterion)
+def explain_by_frames(
+    what: str, there: PosePairs, frames: Frames, device: bool = True, target: bool = True
+) -> Explanation:
+    """Explain errors by frames, of which those of the `device` or of the `target` were found."""
+    free = np.repeat([device, target], 6)
+    return Explanation.of(what, there, frames, there.count_free(frames, free))
 
 
-def _with_other_zeros(
-    model: Model, observations: Observations, there: PosePairs
-) -> tuple[PosePairs, int]:
-    """The poses that the robot predicts with the zeros of its joints that fit best, and how many
-    zeros the poses determine. Zeros shift by no more than the range of a joint."""
+def _explain_by_zeros(model: Model, observations: Observations, there: PosePairs) -> Explanation:
+    """Explain errors by the zeros of the joints that fit best. They shift by no more than the range
+    of a joint, and explain nothing at poses that the robot could not reach with them."""
+    from scipy.optimize import least_squares
+
     q = observations.x[:, : len(model.joints)]
-    solver, at = Kinematics(model), condition_columns(model, observations)
+    solver, at = Kinematics(model, quick=True), condition_columns(model, observations)
     span = np.ptp(np.array(model.mechanism.joint_limits), axis=1)
 
     def predicted(zeros: np.ndarray) -> PosePairs:
-        reached = solver.direct(q + zeros, at)
-        return replace(there, r=reached.position, R=reached.rotation)
+        found = solver.direct(q + zeros, at)
+        known = found.solved[:, None, None]
+        r = np.where(known[:, 0], found.position, there.r)
+        return replace(there, r=r, R=np.where(known, found.rotation, there.R))
 
-    zeros, rank = np.zeros(q.shape[1]), 0
-    here = there
-    for _ in range(ZERO_STEPS):
-        errors = here.compute_errors(there.now)
-        columns = [
-            (predicted(zeros + step).compute_errors(there.now) - errors) / ZERO_DIFFERENCE
-            for step in ZERO_DIFFERENCE * np.eye(len(zeros))
-        ]
-        change, _, rank, _ = np.linalg.lstsq(np.stack(columns, axis=1), -errors, rcond=ROUNDING)
-        if np.any(np.abs(zeros + change) > span):  # no zeros: the robot could not be there
-            break
-        zeros = zeros + change
-        here = predicted(zeros)
-    return here, int(rank)
+    found = least_squares(
+        lambda zeros: predicted(zeros).compute_errors(there.now),
+        np.zeros(q.shape[1]),
+        bounds=(-span, span),
+        x_scale=span,
+        max_nfev=ZERO_STEPS,
+    )
+    zeros = int(np.linalg.matrix_rank(found.jac))
+    return Explanation.of(ZEROS, predicted(found.x), there.now, zeros)

@@ -11,13 +11,13 @@ import numpy as np
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.frames import IDENTITY_FRAMES, PosePairs
-from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.predictions import condition_columns, reach
 from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import (
     MAX_MOVED_TOLERANCES,
     MAX_SHIFT_TO_SHOWN_RATIO,
 )
-from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
@@ -45,27 +45,32 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
     """Compute how far the robot (not the device) moves with another identification of the same
     samples."""
     old, new = before.model.robot(), after.model.robot()
-    joints = after.observations.x[:, : len(old.joints)]
-    reached = [
-        Kinematics(robot).direct(joints, condition_columns(robot, result.observations))
-        for robot, result in ((old, before), (new, after))
-    ]
-    rng = np.random.default_rng(0)
-    target = Kinematics(old).inverse(*poses_in_workspace(old.mechanism, 200, rng))
+    target = Kinematics(old).inverse(
+        *poses_in_workspace(old.mechanism, 200, np.random.default_rng(0))
+    )
+    at_measured = (reach(old, before.observations), reach(new, after.observations))
     anywhere = [Kinematics(robot).direct(target.joints) for robot in (old, new)]
+    # Both frames, {B} and {P}, may move.
+    poses = [
+        PosePairs(
+            ours.position,
+            ours.rotation,
+            theirs.position,
+            theirs.rotation,
+            measured=(ours.solved & theirs.solved)[:, None] & (np.arange(6) < 3),
+            length=1.0,
+            target_is_free=True,
+        )
+        for theirs, ours in (at_measured, anywhere)
+    ]
+    frames, device = IDENTITY_FRAMES, after.observations.measured[:, len(old.joints) :].any()
+    if shows_pose(after.model) and not device:
+        frames = poses[0].descend(frames, poses[0].placed)
+    measured, workspace = (p.compute_rms(frames) if p.placed.any() else None for p in poses)
     rms = [e.held_out.summary.position_rms for e in (before, after)]
     shown = None
     if rms[0] is not None and rms[1] is not None:
         shown = math.sqrt(max(rms[0] ** 2 - rms[1] ** 2, 0.0))
-    frames = IDENTITY_FRAMES
-    device = after.observations.measured[:, len(old.joints) :].any()
-    if shows_pose(after.model) and not device:
-        poses = _compare_poses(*reached)
-        frames = poses.descend(frames, poses.placed)
-    measured, workspace = (
-        poses.compute_position_rms(frames) if poses.placed.any() else None
-        for poses in (_compare_poses(*pair) for pair in (reached, anywhere))
-    )
     neutral: dict[str, tuple[float, str]] = {}
     units = dict(zip(new.joints, new.mechanism.joint_units, strict=True))
     for robot, result in ((old, before), (new, after)):
@@ -109,19 +114,4 @@ def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
         f"removes only {1e6 * shift.shown:.3g} um of the error at held-out poses: the samples do "
         "not separate errors of the device from those of the robot. Measure an artefact of known "
         "length, or state the device's certificate in the model file"
-    )
-
-
-def _compare_poses(one: Solutions, other: Solutions) -> PosePairs:
-    """The positions that one model predicts, compared with those of another model at the same
-    joints; both frames, {B} and {P}, may move."""
-    both = one.solved & other.solved
-    return PosePairs(
-        other.position,
-        other.rotation,
-        one.position,
-        one.rotation,
-        measured=both[:, None] & (np.arange(6) < 3),
-        length=1.0,
-        target_is_free=True,
     )

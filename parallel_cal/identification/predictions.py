@@ -87,14 +87,18 @@ def predict_configurations(model: Model, observations: Observations) -> np.ndarr
     return np.where(np.isfinite(x).all(axis=1)[:, None], x, observations.x)
 
 
-def predict_positions(model: Model, observations: Observations) -> np.ndarray:
-    """Positions (N, 3) of {P} in {B} at the joint readings, NaN if there is no solution.
+def reach(model: Model, observations: Observations, quick: bool = False) -> Solutions:
+    """Poses of {P} in {B} at the joint readings; `quick` as in `Kinematics`.
 
     They do not depend on what was measured, and where the device stands.
     """
     joints = observations.x[:, : len(model.joints)]
-    at = condition_columns(model, observations)
-    return np.asarray(Kinematics(model).direct(joints, at).position)
+    return Kinematics(model, quick=quick).direct(joints, condition_columns(model, observations))
+
+
+def predict_positions(model: Model, observations: Observations) -> np.ndarray:
+    """Positions (N, 3) of {P} in {B} at the joint readings, NaN if there is no solution."""
+    return np.asarray(reach(model, observations).position)
 
 
 def reading_residuals(model: Model, observations: Observations, x: np.ndarray) -> np.ndarray:

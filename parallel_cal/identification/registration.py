@@ -9,26 +9,29 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import (
-    matrix_to_quaternion,
     quaternion_to_matrix,
-    rotation_matrix,
     rotation_vector,
     turns_from_mean,
 )
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.frames import IDENTITY_FRAMES, Frames, PosePairs
-from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.linearisation import Linearisation, follow_closure
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.methods.forward import minimise_pose_errors
-from parallel_cal.identification.moved_frames import describe_what_moved
+from parallel_cal.identification.moved_frames import (
+    Explanation,
+    describe_what_moved,
+    explain_by_frames,
+)
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.predictions import condition_columns, predict_configurations
+from parallel_cal.identification.predictions import predict_configurations, reach
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
     MAX_DISPLACEMENT_M,
@@ -38,20 +41,21 @@ from parallel_cal.identification.thresholds import (
     MAX_UNCERTAIN_TILT_RAD,
     MIN_EXPLAINED_ERROR_RATIO,
     MIN_FRAME_COLUMN_REMAINDER,
+    MIN_FRAME_POSES,
     MIN_REGISTRATION_POSES,
     MIN_UNREGISTERED_ERROR_RATIO,
     ROUNDING,
     UNKNOWN_TOLERANCES,
 )
-from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
 from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 
 SENSOR = "device_frame"
-TARGET_PLACE = tuple(f"device_frame.target.{axis}" for axis in "xyz")
-FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
+FRAME, TARGET = f"{SENSOR}.frame.", f"{SENSOR}.target."  # and a coordinate
+TARGET_PLACE = tuple(f"{TARGET}{axis}" for axis in "xyz")
 # Of the effect that describes a station for each of several recordings
 STATION_EFFECT = "parallel_cal.identification.stations"
 TARGET_EFFECT = "target_offset"  # an effect that states where the target sits
@@ -143,7 +147,15 @@ def register_observed(
             f"; {there.now.describe_move(found)} from where the model has it; "
             f"{describe_what_moved(model, observations, there)}"
         )
-    return placed, _registration(placed, frame or "device", why, there.tells_target, there.held)
+    return placed, Registration(
+        frame or "device",
+        base,
+        model.frames["platform"],
+        why,
+        told=there.tells_target,
+        held=there.held,
+        **_state_frames(placed),
+    )
 
 
 def _stays_displaced(placed: Model, observations: Observations, there: DevicePoses) -> bool:
@@ -154,15 +166,14 @@ def _stays_displaced(placed: Model, observations: Observations, there: DevicePos
     priors, they keep only what these do not describe better. Nothing is known of the frames, so
     where a robot and its frames can move alike the frames keep the displacement.
     """
-    own = np.array([there.is_free(name) for name in placed.table.names])
+    own = there.find_free(placed)
     free = (~np.asarray(placed.fixed) & (placed.table.tolerance > 0)) | own
-    prior = _prior_without(placed, own)
     near = observations.select(there.find_near(frames_of(placed)))
     try:
-        values = implicit.estimate(placed, near, free, prior).values
+        beside = _fit_beside_robot(placed, near, free, own)
     except FitError:  # no tolerances describe these samples
         return True
-    return there.are_far_apart(frames_of(placed.with_values(values)))
+    return there.are_far_apart(frames_of(beside))
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
@@ -235,13 +246,10 @@ def prepared_for_fit(
     if refixed:
         if (there := DevicePoses.of(model, observations)) is None:
             return model, None
-        own = np.array([there.is_free(name) for name in model.table.names])
-        model, told = replace(model, fixed=np.asarray(model.fixed) & ~own), there.tells_target
+        freed = np.asarray(model.fixed) & ~there.find_free(model)
+        model, told = replace(model, fixed=freed), there.tells_target
     settled = _fit_frames(model, observations, options, told, once)
-    if registration is None:
-        return settled, None
-    why, held = registration.why, registration.held
-    return settled, _registration(settled, registration.frame, why, told, held)
+    return settled, registration and replace(registration, **_state_frames(settled))
 
 
 def _are_others_free(model: Model, options: FitOptions) -> bool:
@@ -284,40 +292,36 @@ class DevicePoses(PosePairs):
         `quick`, poses that are not found at once count as not measured."""
         n, m = len(model.joints), model.mechanism
         seen = model.configuration(observations.x)
-        reached = Kinematics(model, quick=quick).direct(
-            seen.q, condition_columns(model, observations)
-        )
+        reached = reach(model, observations, quick)
         solved = reached.solved
         moves = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
         measured = solved[:, None] & observations.measured[:, n : n + 6]
         measured[:, :3] &= moves[0]
         placed, turned = (measured[:, part].any(axis=1) for part in (slice(3), slice(3, 6)))
-        if max(placed.sum(), turned.sum() * moves[1]) < 4:
+        if max(placed.sum(), turned.sum() * moves[1]) < MIN_FRAME_POSES:
             return None
         # The error that tolerances allow differs little between poses: a few poses are enough.
         few = np.flatnonzero(solved)[:: max(int(solved.sum()) // TOLERANCE_SAMPLE_SIZE, 1)]
         rows, a = reached.configuration.rows[few], observations.a[few]
         C, J = model.structure.jacobians(rows, a, model.values)
         free = ~np.asarray(model.fixed) & (model.table.tolerance > 0)
-        with np.errstate(all="ignore"):
-            by = np.linalg.pinv(np.nan_to_num(C[:, :, m.dependent_columns]))
-            by = by[:, : len(m.moved)] @ np.nan_to_num(J[:, :, free])
+        by, _ = follow_closure(model, np.nan_to_num(C), np.nan_to_num(J[:, :, free]))
         spread = np.zeros((len(C), 6))
         frame = model.table.tolerance[_numbers(model)]
         turned_by = np.array([p.unit == "rad" for p in model.table])[_numbers(model)]
         shifts, turns = (np.sum(frame[k] ** 2) for k in (~turned_by, turned_by))
-        reach = float(np.median(np.linalg.norm(seen.r[placed], axis=1))) if placed.any() else 0.0
+        away = float(np.median(np.linalg.norm(seen.r[placed], axis=1))) if placed.any() else 0.0
         spread[:, m.moved] = np.sqrt(np.sum((by * model.table.tolerance[free]) ** 2, axis=2))
         sizes = [
             np.sqrt(np.median(np.sum(spread[:, part] ** 2, axis=1)) + more)
-            for part, more in ((slice(3), shifts + turns * reach**2), (slice(3, 6), turns))
+            for part, more in ((slice(3), shifts + turns * away**2), (slice(3, 6), turns))
         ]
-        away = turns_from_mean(reached.rotation[solved])
+        turned_away = turns_from_mean(reached.rotation[solved])
         # Wide tolerances must not hide a rotation that nobody mistakes for an error.
         allowed = min(
             float(np.median(np.sum(spread[:, 3:] ** 2, axis=1))), MAX_UNCERTAIN_TILT_RAD**2
         )
-        tilts = bool(np.mean(np.sum(away**2, axis=1)) > allowed) and moves[1]
+        tilts = bool(np.mean(np.sum(turned_away**2, axis=1)) > allowed) and moves[1]
         return cls(
             reached.position,
             reached.rotation,
@@ -376,13 +380,12 @@ class DevicePoses(PosePairs):
     def is_displaced(self, found: Frames, identified: bool) -> bool:
         """Whether frames explain a significant part of the error and differ from the model's by
         more than a workshop calls aligned."""
-        squares = [float(np.sum(self._residual(frames) ** 2)) for frames in (self.now, found)]
-        rows, logs = int(self.measured.sum()), np.log(np.maximum(squares, 1e-300))
-        parameters = int(np.linalg.matrix_rank(self._jacobian(found).reshape(-1, 12)))
+        before = Explanation.of("nothing moved", self, self.now, 0)
+        after = explain_by_frames("frames", self, found)
         share = MAX_REMAINING_SHARE_IDENTIFIED if identified else MAX_REMAINING_SHARE
-        significant = rows * (logs[0] - logs[1]) > parameters * np.log(rows)
-        displaced = identified or self.are_far_apart(found)
-        return bool(significant and squares[1] < share * squares[0] and displaced)
+        significant = after.criterion < before.criterion
+        smaller = np.sum(after.errors**2) < share * np.sum(before.errors**2)
+        return bool(significant and smaller and (identified or self.are_far_apart(found)))
 
     def are_far_apart(self, found: Frames) -> bool:
         now = self.now
@@ -396,16 +399,14 @@ class DevicePoses(PosePairs):
             or max(np.linalg.norm(v) for v in turns) > MAX_DISPLACEMENT_RAD
         )
 
-    def is_free(self, name: str) -> bool:
-        """Whether a parameter of the sensor can be fitted: the closure holds only the coordinates
-        in which the robot moves, no pose determines the target of a platform that does not tilt,
-        and an effect may state it."""
-        if not name.startswith(FRAME_PARAMETERS):
-            return False
-        _, part, coordinate = name.split(".")
-        if part == "frame":
-            return coordinate in list_shown_displacements(self.moves)
-        return coordinate in POSE[3:] or bool(self._free[6 + POSE.index(coordinate)])
+    def find_free(self, model: Model) -> Array:
+        """Mask of the parameters of the sensor that can be fitted: the closure holds only the
+        coordinates in which the robot moves, no pose determines the target of a platform that does
+        not tilt, and an effect may state it."""
+        shown = [f"{FRAME}{c}" for c in list_shown_displacements(self.moves)]
+        turns_or_told = [c.startswith("r") or self._free[6 + i] for i, c in enumerate(POSE)]
+        shown += [f"{TARGET}{c}" for c, free in zip(POSE, turns_or_told, strict=True) if free]
+        return np.isin(model.table.names, shown)
 
 
 def _with_frames(model: Model, frames: Frames) -> Model:
@@ -414,18 +415,12 @@ def _with_frames(model: Model, frames: Frames) -> Model:
     names = [p.name for p in now.parameters(model.mechanism)]
     shown = list_shown_displacements(model.mechanism.moves)
     hidden = [f"frame.{c}" for c in POSE if c not in shown and f"frame.{c}" in names]
-    sensor = replace(
-        now,
-        position=_tuple(frames.f),
-        quaternion=_tuple(matrix_to_quaternion(frames.F)),
-        target_position=_tuple(frames.t),
-        target_quaternion=_tuple(matrix_to_quaternion(frames.T)),
-        fixed=tuple(dict.fromkeys([*now.fixed, *hidden])),
-    )
+    placed = now.placed(frames.f, frames.F, frames.t, frames.T, np.eye(3))
+    sensor = replace(placed, fixed=tuple(dict.fromkeys([*now.fixed, *hidden])))
     others = tuple(s for s in model.sensors if s.name != SENSOR)
     model = model.with_sensors((*others, sensor))
     model = replace(model, fixed=model.fixed | model.table.matching(sensor.fixed_patterns()))
-    own = [name.startswith(FRAME_PARAMETERS) for name in model.table.names]
+    own = [name.startswith((FRAME, TARGET)) for name in model.table.names]
     return model.with_values(np.where(own, 0.0, model.values), model.covariance)
 
 
@@ -437,7 +432,7 @@ def _with_fitted_frames(model: Model, observations: Observations, there: DeviceP
     free = np.array(stations) & ~np.asarray(placed.fixed)
     if not free.any():
         return placed
-    free |= np.array([there.is_free(name) for name in placed.table.names])
+    free |= there.find_free(placed)
     near = observations.select(there.find_near(there.frames))
     try:
         fitted = minimise_pose_errors(placed, near, free)
@@ -479,10 +474,6 @@ def is_identified(model: Model) -> bool:
     return model.covariance is not None and _device(model) is not None
 
 
-def _tuple(values: Array) -> Any:
-    return tuple(float(v) for v in values)
-
-
 def _device(model: Model) -> Any:
     """The sensor that describes where the pose device stands; None if the model has none."""
     known = [sensor for sensor in model.sensors if sensor.name == SENSOR]
@@ -519,13 +510,12 @@ def _fit_frames(
     # priors on the weak directions only, the choice of these may change from step to step for ever.
     # The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
     # robot: a tolerance of this origin would tilt {B} away from the drawing.
-    frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
+    frame = np.array([name.startswith(FRAME) for name in model.table.names])
     frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
-    prior = _prior_without(model, frame)
-    found = implicit.estimate(model, observations, settled, prior, once=once)
+    found = _fit_beside_robot(model, observations, settled, frame, once)
     views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
     if _device(model) is not None:
-        model = _with_frames(model, _turn_target(model.with_values(found.values), observations))
+        model = _with_frames(model, _turn_target(found, observations))
     model = model.with_values(np.where(views, found.values, model.values), model.covariance)
     device = _numbers(model)
     if not (free & device).any():
@@ -549,8 +539,11 @@ def _fit_frames(
     return replace(model, fixed=fixed)
 
 
-def _prior_without(model: Model, unknown: Array) -> Prior:
-    """The tolerances of all parameters, but no knowledge of those that are `unknown` (mask).
+def _fit_beside_robot(
+    model: Model, observations: Observations, free: Array, unknown: Array, once: bool = False
+) -> Model:
+    """Fit the `free` parameters, or make a single step (`once`). The tolerances of all are their
+    prior, but nothing is known of those that are `unknown` (mask).
 
     Effects may be as large as the largest that a diagnosis weighs. If they were held to their usual
     sizes, frames would stand where they imitate the rest of a large one.
@@ -558,7 +551,9 @@ def _prior_without(model: Model, unknown: Array) -> Prior:
     effects = np.array([p.group == "effect" for p in model.table])
     sizes = np.where(effects, LARGEST_EFFECT, 1.0)
     sigma = np.where(unknown, UNKNOWN_TOLERANCES, sizes) * model.table.tolerance
-    return Prior(model.table.nominal, np.diag(sigma**2))
+    prior = Prior(model.table.nominal, np.diag(sigma**2))
+    found = implicit.estimate(model, observations, free, prior, once=once)
+    return model.with_values(found.values)
 
 
 def frames_of(model: Model) -> Frames:
@@ -566,26 +561,13 @@ def frames_of(model: Model) -> Frames:
     device = _device(model)
     if device is None:
         return IDENTITY_FRAMES
-    numbers, parts = model.table.mapping(model.values), []
-    for name, position, quaternion in (
-        ("frame", device.position, device.quaternion),
-        ("target", device.target_position, device.target_quaternion),
-    ):
-        shift, turn = (
-            np.array([numbers.get(f"device_frame.{name}.{kind}{a}", 0.0) for a in "xyz"])
-            for kind in ("", "r")
-        )
-        angle = np.linalg.norm(turn)  # Cayley's: 2 tan(angle / 2) along the axis
-        vector = turn * (2 * np.arctan(angle / 2) / angle if angle > 0 else 1.0)
-        R = rotation_matrix(vector) @ quaternion_to_matrix(quaternion)
-        parts += [np.array(position) + shift, R]
-    return Frames(*parts)
+    own = Named(model.table.names, model.values, f"{SENSOR}.")
+    parts = (part for frame in device.frames(own) for part in frame)
+    f, F, t, T = (np.array(ca.evalf(ca.SX(part))) for part in parts)
+    return Frames(f[:, 0], F, t[:, 0], T)
 
 
-def _registration(
-    model: Model, frame: str, why: str, told: bool, held: tuple[str, ...]
-) -> Registration:
-    sensor, frames = _device(model), model.frames
-    place = (sensor.position, sensor.quaternion)
-    target = (sensor.target_position, sensor.target_quaternion)
-    return Registration(frame, frames["base"], frames["platform"], why, *place, *target, told, held)
+def _state_frames(model: Model) -> dict[str, Any]:
+    """What a registration states of the frames of a model's sensor."""
+    names = ("position", "quaternion", "target_position", "target_quaternion")
+    return {name: getattr(_device(model), name) for name in names}

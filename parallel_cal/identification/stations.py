@@ -18,7 +18,6 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import cayley
-from parallel_cal.identification.frames import Frames
 from parallel_cal.identification.moved_frames import describe_what_moved
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.registration import (
@@ -87,53 +86,29 @@ class Stations(Effect):
 
 @dataclass(frozen=True)
 class Station:
-    """The frames of one recording by itself, and those of the first recording.
+    """The poses of one recording, with the frames of the first recording as those of `now`, and
+    what is likeliest to have moved."""
 
-    `tilts` is whether the poses determine the target, `turned` whether orientations were measured.
-    `what_moved` says what is likeliest to have moved.
-    """
-
-    first: Frames
-    own: Frames
-    tilts: bool
-    turned: bool
+    there: DevicePoses
     what_moved: str
-
-    def is_free(self, axis: str) -> bool:
-        """Whether the samples determine a coordinate of the target."""
-        return self.turned if axis.startswith("r") else self.tilts
-
-    @property
-    def rotation(self) -> np.ndarray:
-        """From the frame of this device to that of the first one."""
-        return np.asarray(self.first.F.T @ self.own.F)
-
-    @property
-    def position(self) -> np.ndarray:
-        """Where the first device sees the origin of this one."""
-        return np.asarray(self.first.F.T @ (self.own.f - self.first.f))
-
-    @property
-    def target_offset(self) -> np.ndarray:
-        """From this target to the first one, in {P}."""
-        return self.first.t - self.own.t
 
     def move(self, dataset: Dataset) -> Dataset:
         """The samples as the first device would have shown the orientation of the first target, at
         the position of this target: the orientation that the offset depends on may be unknown."""
-        moved = transform_poses(dataset, self.position, self.rotation, dataset.frame)
-        if not self.turned:
+        first, own = self.there.now, self.there.frames
+        turn, shift = first.F.T @ own.F, first.F.T @ (own.f - first.f)
+        moved = transform_poses(dataset, shift, turn, dataset.frame)
+        if not self.there.turned.any():
             return moved
         turned = np.any(moved.measured[:, 3:], axis=1)[:, None, None]
-        R = np.where(turned, moved.R @ self.own.T.T @ self.first.T, moved.R)
-        return replace(moved, R=R)
+        return replace(moved, R=np.where(turned, moved.R @ own.T.T @ first.T, moved.R))
 
     def describe(self, k: int) -> str:
         """`recording 2 has a station of its own: its device stands 812.3 mm and 12.30 deg ...`"""
         return (
-            f"recording {k + 1} has a station of its own: {self.first.describe_move(self.own)} "
-            f"from where recording 1 has it. Each recording was registered by itself; "
-            f"{self.what_moved}"
+            f"recording {k + 1} has a station of its own: "
+            f"{self.there.now.describe_move(self.there.frames)} from where recording 1 has it. "
+            f"Each recording was registered by itself; {self.what_moved}"
         )
 
 
@@ -205,10 +180,9 @@ def _find_stations(
             return None
         first = first or there.frames
         relative = replace(there, now=first)
-        own = relative.frames
-        if relative.is_displaced(own, is_identified(model)):
+        if relative.is_displaced(relative.frames, is_identified(model)):
             words = describe_what_moved(model, own_samples, relative)
-            stations[k] = Station(first, own, there.tilts, bool(there.turned.any()), words)
+            stations[k] = Station(relative, words)
     return stations
 
 
@@ -216,16 +190,12 @@ def _with_stations(model: Model, stations: Mapping[int, Station]) -> Model:
     """The model with the effect, whose parameters for these recordings are free."""
     extended = model.with_effects((load_effect(STATION_EFFECT), *model.effects))
     values, fixed = extended.values.copy(), extended.fixed.copy()
-    shown = list_shown_displacements(model.mechanism.moves)
-    for i, name in enumerate(extended.table.names):
-        for k, station in stations.items():
-            part = name.removeprefix(f"{STATION_EFFECT}.recording{k + 1}.")
-            kind, _, axis = part.partition(".")
-            if part == name or (kind == "target" and not station.is_free(axis)):
-                continue
-            if kind == "frame" and axis not in shown:
-                continue
-            fixed[i] = False
-            if kind == "target" and axis in "xyz":
-                values[i] = station.target_offset["xyz".index(axis)]
+    names, shown = np.array(extended.table.names), list_shown_displacements(model.mechanism.moves)
+    for k, one in stations.items():
+        there, own = one.there, f"{STATION_EFFECT}.recording{k + 1}."
+        target = [c for c in POSE if (there.turned.any() if c.startswith("r") else there.tilts)]
+        free = [*(f"{own}frame.{c}" for c in shown), *(f"{own}target.{c}" for c in target)]
+        fixed &= ~np.isin(names, free)
+        for axis, offset in zip("xyz", there.now.t - there.frames.t, strict=True):
+            values[~fixed & (names == f"{own}target.{axis}")] = offset
     return replace(extended, values=values, fixed=fixed).with_covariance_of(model)

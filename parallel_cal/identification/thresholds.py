@@ -27,7 +27,6 @@ MAX_NAMED_WEAK_DIRECTIONS = 2  # weakest directions to name: a document has all 
 # of the validation error: the removal of an effect may cost so much
 MAX_NEGLIGIBLE_ERROR_RISE = 0.01  # [6, 6]
 # A factor that all lengths of a robot have in common, which a wrong size of a printed board causes
-MIN_COMMON_SCALE_SIGMAS = 4.0
 MIN_COMMON_SCALE = 2e-3  # nobody measures a printed board to less
 UNKNOWN_TOLERANCES = 1e3  # sigma of a number of which nothing is known
 # for a region, the noise, or where a law enters: more hardly change these
@@ -99,8 +98,9 @@ REWEIGHTINGS = 20  # of samples by their residuals, or of weak directions by an 
 
 # Joint readings from exchanged columns or of the other sign
 MAX_GUESS_SAMPLES = 30
-MAX_JOINTS_OF_ANY_SIGN = 6  # every combination of signs is tried [0, 0]
-MAX_JOINTS_IN_ANY_ORDER = 4  # every order is tried [1, 0: delta_tilting]
+# every combination of signs, or order, that joints may have; of more, only the likely ones are
+# tried: 64 are the signs of six joints and more than the orders of four [1, 0: delta_tilting]
+MAX_GUESSES_OF_A_KIND = 64
 MAX_GUESSES_REFINED = 8  # of which the frames of the device are found exactly
 MIN_REACHED_SHARE = 0.9  # of the poses, which the robot must reach ... [0, 1: delta_tilting]
 MIN_QUICK_SHARE = 0.3  # ... and which are found quickly where joints contradict each other
@@ -125,7 +125,7 @@ MAX_REMAINING_SHARE = 0.5  # [3, 2]
 MAX_REMAINING_SHARE_IDENTIFIED = 0.25
 # Rotation (rms) of the platform from which the start determines a target's position on it
 MIN_PLACEMENT_TILT_RAD = 0.02
-MIN_PLACEMENT_POSES = 4  # that start a sensor which shows poses [0, 0]
+MIN_FRAME_POSES = 4  # that determine the frames of a device or of a sensor [0, 0]
 # An error of the start, relative to the mechanism's length, from which other options are tried
 MIN_DOUBTFUL_SHARE = 0.15
 MIN_IMAGE_NOISE_DOF = 50  # residuals of images that measure their noise to a tenth

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from parallel_cal.base.rotation import cayley, quaternion_to_matrix, rot_x, rot_y, rot_z
+from parallel_cal.base.rotation import (
+    cayley,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    rot_x,
+    rot_y,
+    rot_z,
+)
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 from parallel_cal.model.sensor import Sensor
@@ -46,17 +54,29 @@ class DeviceFrame(Sensor):
         units = {name: "rad" if name[-2] == "r" else "m" for name in names}
         return [Parameter(name, unit, 0.0, TOLERANCE[unit]) for name, unit in units.items()]
 
+    def placed(
+        self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray, R: np.ndarray
+    ) -> DeviceFrame:
+        return replace(
+            self,
+            position=tuple(f.tolist()),
+            quaternion=tuple(matrix_to_quaternion(F).tolist()),
+            target_position=tuple(t.tolist()),
+            target_quaternion=tuple(matrix_to_quaternion(T).tolist()),
+        )
+
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
         """{B}<-{P} = {B}<-{device} ({device}<-{target}) {target}<-{P}."""
-        (f, F), (t, T) = self._frames(s)
+        (f, F), (t, T) = self.frames(s)
         turned = F @ self._gimbal(R, s, +1) @ T.T
         return f + F @ r - turned @ t, turned
 
     def shown(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
-        (f, F), (t, T) = self._frames(s)
+        (f, F), (t, T) = self.frames(s)
         return F.T @ (r + R @ t - f), self._gimbal(F.T @ R @ T, s, -1)
 
-    def _frames(self, s: Named) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    def frames(self, s: Named) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+        """{B} -> {device} and {P} -> {target}: each a position (3,) and a rotation (3, 3)."""
         frame = _frame(s, "frame", self.position, self.quaternion)
         return frame, _frame(s, "target", self.target_position, self.target_quaternion)
 

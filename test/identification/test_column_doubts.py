@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from datasets import measured
 
@@ -46,3 +47,18 @@ def test_other_columns_are_named_only_if_they_fit_better_than_what_is_known(sess
         exchanged(session), most=1e-4
     )
     assert doubt(exchanged(session), most=5e-5) == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"q": np.diag([-1.0, -1.0, 1.0])}, "joint1, joint2 have the other sign (column map: j"),
+        ({"q": np.radians(1.0) * np.eye(3)}, "the joints are in rad, not deg (column map: unit)"),
+        ({"r": np.diag([1.0, -1.0, 1.0])}, "the frame of the device is left-handed (two"),
+    ],
+    ids=["signs", "unit", "left-handed"],
+)
+def test_what_readings_meant_is_named_with_the_entry_of_a_column_map(session, change, words):
+    assert words in doubt(
+        replace(session, **{name: getattr(session, name) @ M for name, M in change.items()})
+    )

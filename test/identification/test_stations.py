@@ -15,7 +15,9 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.registration import STATION_EFFECT
+from parallel_cal.identification.moved_frames import DEVICE, ZEROS, rank_what_moved
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.registration import STATION_EFFECT, DevicePoses
 from parallel_cal.identification.stations import LATER_RECORDINGS, has_stations
 from parallel_cal.identification.unusual import UnusualSize
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -235,8 +237,13 @@ def test_joined_samples_in_a_file_keep_the_hash_of_each_recording(tmp_path):
             "likeliest, the zeros of the joints changed (rms error 0.03",
         ),
         (SECOND, 0.0, "likeliest, device and target moved (rms error 0.03"),
+        (
+            replace(FIRST, target=SECOND.target),
+            0.0,
+            "likeliest, but not clearly, the target moved (rms error 0.04",
+        ),
     ],
-    ids=["device", "zeros", "both"],
+    ids=["device", "zeros", "both", "target"],
 )
 def test_what_moved_between_recordings_is_ranked_by_the_error_that_each_explanation_leaves(
     later, zeros, words
@@ -252,6 +259,23 @@ def test_what_moved_between_recordings_is_ranked_by_the_error_that_each_explanat
         if "has a station of its own" in w
     ]
     assert words in station
+
+
+def test_zeros_with_which_the_robot_cannot_be_where_it_was_measured_explain_nothing(monkeypatch):
+    """A pose without a solution has no error; it must not count as one that is explained."""
+    model, data = new_model("delta54"), measured(1)
+    moved = replace(data, r=data.r + np.array([0.02, 0.0, 0.0]))
+    there = DevicePoses.of(model, observe(model, moved))
+    direct = Kinematics.direct
+
+    def only_as_read(self, q, *arguments):
+        read = np.all(np.abs(q - data.q) < 1e-9, axis=1, keepdims=True)
+        return direct(self, np.where(read, q, np.nan), *arguments)
+
+    monkeypatch.setattr(Kinematics, "direct", only_as_read)
+    ranked = {one.what: one for one in rank_what_moved(model, observe(model, moved), there)}
+    assert ranked[ZEROS].rms == pytest.approx(there.compute_rms(there.now))
+    assert ranked[DEVICE].rms < 0.1 * ranked[ZEROS].rms
 
 
 @pytest.mark.wide

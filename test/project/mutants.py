@@ -306,8 +306,8 @@ MUTANTS = (
     ),
     Mutant(
         "identification/registration.py",
-        "return bool(significant and squares[1] < share * squares[0] and displaced)",
-        "return bool(squares[1] < share * squares[0] and displaced)",
+        "return bool(significant and smaller and (identified or self.are_far_apart(found)))",
+        "return bool(smaller and (identified or self.are_far_apart(found)))",
         "chance moves the frame of a device",
         "test_registration.py test_stations.py test_registration_planar.py test_base_frame.py",
     ),
