@@ -106,8 +106,9 @@ def judge(text: str, dataset: Dataset, goal: Goal) -> Recheck:
 def needs_more(found: Recheck) -> bool:
     """Whether further poses are worthwhile: it is not decided, or the robot has drifted and an
     updated model is not yet nearly as certain as the last calibration."""
-    too_uncertain = found.verdict == DRIFTED and found.growth > USUAL_FACTOR
-    return too_uncertain or not found.is_decided
+    if found.verdict != DRIFTED or found.expected is None:
+        return not found.is_decided
+    return found.expected.growth > USUAL_FACTOR
 
 
 @single_threaded()

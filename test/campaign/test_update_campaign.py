@@ -14,8 +14,8 @@ from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.journal import FILE, CampaignError, find_unfinished
 from parallel_cal.campaign.updating import conclude, needs_more
-from parallel_cal.identification.drift_test import DEVICE
-from parallel_cal.identification.recheck import Look, Recheck
+from parallel_cal.identification.drift_test import DEVICE, Look
+from parallel_cal.identification.recheck import Recheck
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.recordings.joining import join_datasets
 
