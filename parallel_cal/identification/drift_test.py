@@ -177,7 +177,7 @@ class DriftTest:
         C0[:n, :n] = update_prior(model, 0.0).covariance[np.ix_(free, free)]
         C0[:n, :n] *= variance / np.outer(tolerance, tolerance)
         A, b = columns.sum()
-        typical = integrate_out(C0, A / variance, b[:, None])[0] / len(columns.residual)
+        typical = _integrate_out(C0, A / variance, b[:, None])[0] / len(columns.residual)
         if samples:
             # A fit knew nothing of the measuring set-up; today it may stand elsewhere.
             robot = np.flatnonzero(list_robot_parameters(model)[free])
@@ -197,7 +197,7 @@ class DriftTest:
     def log_factors(self, A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log Bayes factors against none, by information A (n, n) and pulls b (n, D) in the stated
         noise: of the changes by the `SCALES` (D, H, 5), and of the single ones (D, E)."""
-        M, u = integrate_out(self.C0, A / self.variance, b / self.variance)
+        M, u = _integrate_out(self.C0, A / self.variance, b / self.variance)
         found = np.empty((u.shape[1], len(self.changes), len(SCALES)))
         for k, change in enumerate(self.changes):
             size, Q = np.linalg.eigh(change.factor.T @ M @ change.factor)
@@ -229,7 +229,7 @@ class Look:
     rival: tuple[str, float]
 
 
-def integrate_out(C0: np.ndarray, A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _integrate_out(C0: np.ndarray, A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Information (n, n) and pulls (n, D) about changes, with an error N(0, C0) beside them."""
     AC = A @ C0
     solved = np.linalg.solve(np.eye(len(A)) + AC, np.column_stack([A, b]))

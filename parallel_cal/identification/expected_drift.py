@@ -9,10 +9,9 @@ information T each, is expected to be
 with the mean m_all of all m. So an update to p is better than the old parameters where p is nearer
 to m_all; a displaced device counts as a hypothesis in which the robot is as it was.
 
-A drift d of the robot differs from every displacement of the device by q = d' P d squared sigmas; P
-is the information about changes, beside the device and the error of the calibration. More samples
-like these raise q, up to a limit that the calibration sets; each raises the log odds of the two
-hypotheses by half of what it adds to q.
+Whether more samples would tell a drift of the robot from a displaced device is simulated: the
+parameters are drawn from these posteriors, the information and the pull of more samples like these
+follow, and the same test decides.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ from parallel_cal.identification.drift_test import (
     SCALES,
     DriftTest,
     Look,
-    integrate_out,
+    probabilities,
 )
 from parallel_cal.model.model import Model
 
-DRAWS = 200  # drifts of the robot that the samples allow
+DRAWS = 100  # changes that the samples allow
 MIN_WEIGHT = 1e-9  # of a hypothesis that counts
-REPEATS = 1.1 ** np.arange(49)  # times as many samples, to a hundred times
+REPEATS = 1.25 ** np.arange(1, 22)  # times as many samples, to a hundred times
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,8 @@ class ExpectedDrift:
         The rms error of the last calibration's model today, in the same units.
     more_samples : int, optional
         How many further samples like these would tell a drift of the robot from a displacement of
-        the device, in half of the cases; 0 if these do, None if a hundred times as many would not.
+        the device, in half of the cases; None if these do, or if a hundred times as many would
+        not.
     """
 
     covariance: np.ndarray = field(repr=False)
@@ -98,10 +98,10 @@ def expect_drift(
     change[free] = tolerance * mean[:n]
     kept = float(np.sqrt(np.vdot(typical, squares[:n, :n]) / unit))
     growth = float(np.sqrt(np.vdot(typical, today) / unit))
-    displaced = max(float(look.changed[~own].sum()), 1e-300)
-    needed = math.log(certainty / (1 - certainty)) - math.log(robot / displaced)
-    times = None if own.all() else _count_telling(test, share, A, b, needed)
-    more = None if times is None else math.ceil(times * look.samples)
+    displaced = float(look.changed[~own].sum())
+    more = None
+    if max(robot, displaced) < certainty <= robot + displaced:
+        more = _count_telling(test, look, A, b, certainty)
     return ExpectedDrift(drift, growth, change, metric, kept, more)
 
 
@@ -126,32 +126,32 @@ def _average(
 
 
 def _count_telling(
-    test: DriftTest, share: np.ndarray, A: np.ndarray, b: np.ndarray, needed: float
-) -> float | None:
-    """How many times as many further samples raise the log odds of a drift against a displaced
-    device by what is needed, in half of the drifts that the samples allow."""
-    rng = np.random.default_rng(0)
-    M, u = integrate_out(test.C0, A, b[:, None])
-    weights = share.ravel() / share.sum() if share.any() else np.full(share.size, 1 / share.size)
-    drifts = np.empty((len(b), DRAWS))
-    for k, case in enumerate(rng.choice(share.size, DRAWS, p=weights)):
-        h, s = divmod(int(case), len(SCALES))
-        F = SCALES[s] * test.changes[h].factor
-        C = np.linalg.inv(np.eye(F.shape[1]) + F.T @ M @ F)
-        z = C @ (F.T @ u[:, 0]) + np.linalg.cholesky(C) @ rng.standard_normal(len(C))
-        drifts[:, k] = F @ z
-    [device] = (one.factor for one in test.changes if one.kind == DEVICE)
-
-    def squares(times: float) -> np.ndarray:
-        M, _ = integrate_out(test.C0, times * A, b[:, None])
-        MD = M @ (SCALES[-1] * device)
-        beside = M - MD @ np.linalg.solve(
-            np.eye(device.shape[1]) + SCALES[-1] * device.T @ MD, MD.T
-        )
-        return np.einsum("id,ij,jd->d", drifts, beside, drifts)
-
-    now = squares(1.0)
+    test: DriftTest, look: Look, A: np.ndarray, b: np.ndarray, certainty: float
+) -> int | None:
+    """Count the further samples like these after which it is decided whether the robot drifted or
+    the device moved, in half of the changes that the samples allow."""
+    rng, n = np.random.default_rng(0), len(b)
+    own = np.array([one.kind != DEVICE for one in test.changes])
+    weights = look.changed.ravel() / look.changed.sum()
+    drawn = np.empty((n, DRAWS))
+    for k, case in enumerate(rng.choice(len(weights), DRAWS, p=weights).tolist()):
+        h, s = divmod(case, len(SCALES))
+        prior = test.C0 + SCALES[s] ** 2 * test.changes[h].factor @ test.changes[h].factor.T
+        C = np.linalg.solve(np.eye(n) + prior @ A, prior)
+        drawn[:, k] = C @ b + _root(C) @ rng.standard_normal(n)
+    noise = _root(A) @ rng.standard_normal((n, DRAWS))
     for times in REPEATS.tolist():
-        if np.median(squares(times) - now) / 2 >= needed:
-            return times - 1
+        new = (times - 1) * (A @ drawn) + (times - 1) ** 0.5 * noise
+        known = test.variance * np.column_stack([times * A, b[:, None] + new])
+        logs, _ = test.log_factors(known[:, :n], known[:, n:])
+        _, changed = probabilities(logs + test.log_prior)
+        told = [changed[:, part].sum(axis=(1, 2)) >= certainty for part in (own, ~own)]
+        if np.mean(np.any(told, axis=0)) >= 0.5:
+            return math.ceil((times - 1) * look.samples)
     return None
+
+
+def _root(C: np.ndarray) -> np.ndarray:
+    """A root of a covariance (n, n), which may be singular."""
+    squares, axes = np.linalg.eigh((C + C.T) / 2)
+    return np.asarray(axes * np.sqrt(np.maximum(squares, 0.0)))

@@ -172,8 +172,8 @@ class Recheck:
         more = self.expected.more_samples if self.expected else None
         if more is None:
             return (
-                "More poses like these hardly tell: what a moved device does not imitate is "
-                "smaller than the uncertainty of the last calibration"
+                "More poses like these hardly tell: a moved device imitates the drift to within "
+                "the uncertainty of the last calibration"
             )
         return f"About {more} more poses like these would tell, too, in half of the cases"
 

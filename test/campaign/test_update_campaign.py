@@ -77,6 +77,7 @@ def test_a_change_of_robot_or_device_writes_no_model(tmp_path):
     found = Recheck(tuple(looks), names, kinds)
     assert (found.verdict, found.decision, needs_more(found)) == ("changed", (3, "changed"), True)
     assert "or the measuring device moved (50%)" in found.warnings[0]
+    assert "More poses like these hardly tell" in found.warnings[0]
     cell = DriftedCell(seed=SEED)
     campaign = Campaign(tmp_path, calibrated(SEED), GOAL, cell)
     data = join_datasets([cell.sample(lambda: None).dataset for _ in samples], [1, 2, 3])

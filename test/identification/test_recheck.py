@@ -231,6 +231,3 @@ def test_an_answer_that_is_not_decided_names_both_causes_and_what_tells_them_apa
     assert f"About {more} more poses" in found.warnings[0]
     enough = recheck(calibrated(), session(4 + more, np.random.default_rng(4), zeros=(6e-4,) * 3))
     assert enough.verdict == "drifted"
-    # A tracker that moved a little: what a drift would show beside it drowns in the calibration.
-    moved = session(4, np.random.default_rng(6), shift=(1e-4, 1e-4, 0.0))
-    assert "More poses like these hardly tell" in recheck(calibrated(), moved).warnings[0]
