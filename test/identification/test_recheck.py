@@ -163,6 +163,8 @@ def test_a_session_updates_the_last_calibration_and_counts_its_samples_once(tmp_
     session_of.take(today.to_json)
     first = session_of.fit()
     assert "likeliest: zero of joint2" in first.drift
+    assert first.recheck["decision"]["verdict"] == "drifted"
+    assert pc.Session(tmp_path).state.recheck == first.recheck
     sigma = session_of.model.covariance.copy()
     assert session_of.fit().drift == first.drift
     assert session_of.model.covariance == pytest.approx(sigma)
