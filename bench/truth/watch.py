@@ -18,6 +18,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -271,6 +272,12 @@ class Delta:
 ROBOTS = (Belts, Hexapod, FiveBar, Delta)
 
 
+@cache
+def drawn_model(kind) -> pc.Model:
+    """The model as drawn, which all robots of a kind have in common."""
+    return kind(0).model()
+
+
 def record(robot, rng, n, time, fault=None, measured=False) -> pc.Dataset:
     """Samples of a robot, without poses unless `measured`."""
     fault = fault or Fault()
@@ -286,7 +293,7 @@ def record(robot, rng, n, time, fault=None, measured=False) -> pc.Dataset:
     conditions = seen | {"time": time + 10.0 * np.arange(n)}
     if fault.recorded:
         conditions["temperature"] = np.full(n, 20.0 + fault.warmth)
-    names = robot.model().joints
+    names = drawn_model(type(robot)).joints
     return pc.Dataset.from_arrays(
         names, q, r, measured=shown, joint_sigma=robot.sigma, conditions=conditions,
         pose_cov=np.eye(6) * getattr(robot, "sight", 1.0) ** 2, source=f"at {time}",
@@ -295,7 +302,7 @@ def record(robot, rng, n, time, fault=None, measured=False) -> pc.Dataset:
 
 def calibrate(robot, rng) -> pc.Model:
     dataset = record(robot, rng, 150, START - 10 * DAY, Fault(recorded=False), measured=True)
-    return pc.fit(robot.model(), dataset, fix=FIXED_FRAME[robot.name]).model
+    return pc.fit(drawn_model(type(robot)), dataset, fix=FIXED_FRAME[robot.name]).model
 
 
 def fault_on(robot, name: str, day: int, joint: int, rng: np.random.Generator) -> Fault:

@@ -18,7 +18,7 @@ import numpy as np
 
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.campaign import updating
+from parallel_cal.campaign.calibrating import Calibration
 from parallel_cal.campaign.cell import (
     AbortRequested,
     Cell,
@@ -36,21 +36,14 @@ from parallel_cal.campaign.journal import (
     is_same_but_for_limits,
     with_limits_of,
 )
-from parallel_cal.campaign.judging import (
-    Conclusion,
-    Judgement,
-    JudgementRequest,
-    conclude,
-    judge_samples,
-    select_primary_error,
-)
+from parallel_cal.campaign.judging import Judgement, select_primary_error
 from parallel_cal.campaign.path_guard import Guard, PathError
+from parallel_cal.campaign.procedure import Procedure
 from parallel_cal.campaign.status import Curve, CurvePoint, Outcome, Status
-from parallel_cal.campaign.targets import ADJUSTABLE_CONDITIONS, Target, first_targets
+from parallel_cal.campaign.targets import ADJUSTABLE_CONDITIONS, Target
 from parallel_cal.campaign.trajectory import plan_trajectory
+from parallel_cal.campaign.updating import Update
 from parallel_cal.identification.observations import observe
-from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.recheck import Recheck
 from parallel_cal.model.file.modelfile import model_hash, parse_model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
@@ -60,7 +53,6 @@ from parallel_cal.session.session import Session
 
 log = logging.getLogger(__name__)
 
-BATCH = 8  # poses between two judgements
 MAX_UNSEEN_IN_A_ROW = 6  # targets; a camera that is covered sees none of them
 
 Tell = Callable[[Status], None]
@@ -110,19 +102,17 @@ class Campaign:
     ):
         parse_model(model, "the campaign's model")  # store nothing that cannot be read again
         self.folder, self.goal, self.control = Path(folder), goal, control or Control()
-        self._cell, self._tell, self._work = cell, tell, work
+        self._cell, self._tell, self.work = cell, tell, work
         self.folder.mkdir(parents=True, exist_ok=True)
         self._journal = Journal(self.folder, model)
         self._unseen = 0  # targets in a row at which the device saw too little
         self._status = Status("planning", "", 0, np.nan, "")
-        self._drift: Recheck | None = None  # what an update knows so far
+        self._procedure: Procedure = Update(self) if goal.update else Calibration(self)
         self._continue_with(model)
         last = next(reversed(self.samples), None)
         self._sent = None if last is None else np.array(self.targets[last].joints)
         if not (self.folder / SESSION).exists():
-            fitting = FitOptions(
-                hold_out=goal.hold_out, joint_sigma=goal.joint_sigma, update=goal.update
-            )
+            fitting = self._procedure.fitting(goal)
             Session.new(self.folder, parse_model(model), [], fitting=fitting)
         self._use_model_of(self.judgements[-1] if self.judgements else None)
 
@@ -199,7 +189,7 @@ class Campaign:
         """Run until the campaign ends; stop the robot in every case."""
         for text in self.warnings:
             log.warning("%s", text)
-            self._report_status("planning", text)
+            self.report_status("planning", text)
         try:
             while True:
                 try:
@@ -207,7 +197,7 @@ class Campaign:
                         return self._end(outcome)
                 except PauseRequested:
                     self._cell.stop()
-                    self._report_status("paused", "on request; call resume to continue")
+                    self.report_status("paused", "on request; call resume to continue")
                     self.control.wait()
         except AbortRequested:
             self._cell.stop()
@@ -225,14 +215,10 @@ class Campaign:
         """Measure one pose or judge once; return the outcome if that was the last step."""
         self.control.check_interrupted()
         if not self.targets:
-            self._report_status("planning", "selecting the first poses")
+            self.report_status("planning", "selecting the first poses")
             for name in self.goal.effects:
                 load_effect(name)  # reject unknown effects before the robot moves
-            self._add_targets(
-                updating.plan_targets(self._guard, self.model, self.goal)
-                if self.goal.update
-                else first_targets(self._guard, self.goal.poses, self.goal.seed)
-            )
+            self._add_targets(self._procedure.plan(self._guard, self.model, self.goal))
         due = [
             k for k in range(len(self.targets)) if k not in self.samples and k not in self.left_out
         ]
@@ -241,31 +227,31 @@ class Campaign:
             over = f"{len(self.samples)} poses were measured, the maximum that was allowed"
         elif self.spent > 60 * self.goal.minutes:
             over = f"the time limit of {self.goal.minutes:g} minutes was reached"
-        if self.goal.update and self.samples:
-            done = over or ("" if due else "all planned poses were measured")
-            if (outcome := self._recheck(done)) is not None:
+        ends_plan = bool(over or not due)
+        if ends_plan and not self.samples:
+            raise CampaignError(over or f"no pose can be reached: {self.describe_skipped()}")
+        if self.samples and (ends_plan or self._procedure.judges_each_pose):
+            outcome = self._procedure.judge(over, bool(due))
+            if outcome is not None or ends_plan:
                 return outcome
-        if due and not over:
-            self._measure(due[0])
-            return None
-        if not self.samples:
-            raise CampaignError(over or f"no pose can be reached: {self._describe_skipped()}")
-        return self._judge(over)
+        self._measure(due[0])
+        return None
 
-    def _describe_skipped(self) -> str:
+    def describe_skipped(self) -> str:
         """Give each reason for a skipped target once."""
         return "; ".join(dict.fromkeys(self.left_out.values()))
 
-    def _report_status(
+    def report_status(
         self, state: str, reason: str, purpose: str = "", questions: tuple[Question, ...] = ()
     ) -> None:
+        """Tell the state, and why."""
         last = self.judgements[-1] if self.judgements else None
         self._status = Status(
             state,
             reason,
             len(self.samples),
             last.validation_error if last else np.nan,
-            self._drift.verdict if self._drift else last.verdict if last else "",
+            self._procedure.verdict,
             purpose,
             questions,
             self.curve,
@@ -313,13 +299,13 @@ class Campaign:
             path = self._guard.plan_path(here, self._guard.lengthen_approach(here, stops))
         except PathError:
             path = self._guard.plan_path(here, stops)
-        self._report_status("moving", why, target.purpose)
+        self.report_status("moving", why, target.purpose)
         self._cell.move(
             plan_trajectory(path, self._guard.model.mechanism), self.control.check_interrupted
         )
         self._checker.check_arrived(self._cell.joints(), stops[-1], path)
         self._sent = stops[-1]
-        self._report_status("sampling", why, target.purpose)
+        self.report_status("sampling", why, target.purpose)
         return self._cell.sample(self.control.check_interrupted)
 
     def _get_current_joints(self) -> np.ndarray:
@@ -371,82 +357,21 @@ class Campaign:
         if not questions:
             return
         words = "; ".join(map(str, questions))
-        self._report_status("asking", f"{words}, then continue", questions=questions)
+        self.report_status("asking", f"{words}, then continue", questions=questions)
         wanted = {question.condition: question.value for question in questions}
         self._cell.ask(words, wanted, self.control.check_interrupted)
         self._checker.mark_conditions_changed()
 
     # ------------------------------------------------------------------ judgements and the outcome
 
-    def _judge(self, over: str) -> Outcome | None:
-        """Judge the samples; return an outcome if the goal or a limit is reached."""
-        if not over and self._count_unjudged() == 0:
-            skipped = self._describe_skipped()
-            return self._outcome(False, f"no further pose can be reached: {skipped}")
-        last = self.judgements[-1] if self.judgements else None
-        if last is None or self._count_unjudged():
-            self._report_status("judging", f"{len(self.samples)} samples")
-            dataset = self.dataset
-            Session(self.folder).take(dataset.to_json)
-            goal = self.goal
-            left = 0 if over else goal.poses - len(self.samples)
-            options = FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma)
-            seed = goal.seed + 1 + len(self.judgements)
-            changes = {"payload": goal.payload, "temperature": goal.warmer}
-            question = JudgementRequest(
-                self.model,
-                goal.keep_out,
-                goal.reach,
-                goal.effects,
-                min(BATCH, left),
-                left,
-                changes,
-                seed,
-                options,
-            )
-            before, last = last, self._work(judge_samples, question, dataset, self.validation_mask)
-            self._journal.write(judged=last)
-            self.targets += last.targets
-            self.judgements.append(last)
-            self._adopt_judgement(last)
-        else:
-            before = self.judgements[-2] if len(self.judgements) > 1 else None
-        if self.goal.enough and last.validation_error <= self.goal.enough:
-            return self._outcome(
-                True, f"the error at the validation poses is small enough: {last.summary}"
-            )
-        if not self.goal.enough and last.is_final(before):
-            alike = last.untold and f"; no poses can distinguish {' from '.join(last.untold)}"
-            return self._outcome(True, f"{last.summary}{alike or ''}")
-        if over:
-            wanted = "; ".join(one for one in last.missing if one not in last.summary)
-            return self._outcome(False, f"{over}: {last.summary}{wanted and f'; {wanted}'}")
-        return None
-
-    def _recheck(self, over: str) -> Outcome | None:
-        """Decide whether the robot has drifted; return an outcome if that was the last pose."""
-        found: Recheck = self._work(updating.judge, self.model, self.dataset, self.goal)
-        self._drift, words = found, found.warnings[0]
-        self._report_status("judging", f"{len(self.samples)} samples; {found.progress}")
-        if over:
-            return self._outcome(found.is_decided, f"{over}: {words}")
-        return None if updating.needs_more(found) else self._outcome(True, words)
-
-    def _count_unjudged(self) -> int:
-        """Count the samples since the last judgement."""
-        return len(self.samples) - (self.judgements[-1].samples if self.judgements else 0)
-
-    def _use_model_of(self, judgement: Judgement | None) -> None:
-        """Use the best model so far to check paths and samples."""
-        model = parse_model(judgement.text if judgement else self.model)
-        self._guard = Guard.of(replace(model, covariance=None), self.goal.keep_out, self.goal.reach)
-        self._checker = Checker(model, judgement.usual if judgement else {})
-
-    def _adopt_judgement(self, judgement: Judgement) -> None:
-        """Use the judgement's model for paths and checks from now on.
+    def take_judgement(self, judgement: Judgement) -> None:
+        """Store a judgement with its further targets, and use its model from now on.
 
         If this model forbids the robot's present pose, first move home on a path that the previous
         model allows."""
+        self._journal.write(judged=judgement)
+        self.targets += judgement.targets
+        self.judgements.append(judgement)
         before, here = self._guard, self._get_current_joints()
         self._use_model_of(judgement)
         if judgement.targets and self._guard.describe_violation(here):
@@ -455,10 +380,16 @@ class Campaign:
             self._cell.move(trajectory, self.control.check_interrupted)
             self._sent = home
 
-    def _outcome(self, success: bool, message: str) -> Outcome:
+    def _use_model_of(self, judgement: Judgement | None) -> None:
+        """Use the best model so far to check paths and samples."""
+        model = parse_model(judgement.text if judgement else self.model)
+        self._guard = Guard.of(replace(model, covariance=None), self.goal.keep_out, self.goal.reach)
+        self._checker = Checker(model, judgement.usual if judgement else {})
+
+    def make_outcome(self, success: bool, message: str) -> Outcome:
+        """The outcome of a campaign that ends so, with its document."""
         curve = [(one.poses, one.error) for one in self.curve.points]
-        drift = self._drift
-        judged = updating.document(drift) if drift else self.judgements[-1].reported
+        judged = self._procedure.reported
         document = {
             "success": success,
             "message": message,
@@ -481,20 +412,16 @@ class Campaign:
 
     def _end(self, outcome: Outcome) -> Outcome:
         """Add the final model to the outcome if it is proven better, and write the last line."""
-        self._report_status("judging", "preparing the final model")
-        found: Conclusion = (
-            self._work(updating.conclude, self.folder, self.dataset, self._drift)
-            if self._drift is not None
-            else self._work(conclude, self.folder, self.judgements)
-        )
+        self.report_status("judging", "preparing the final model")
+        found = self._procedure.conclude()
         text = found.text and with_limits_of(found.text, self.model)
         outcome = replace(outcome, text=text, message=f"{outcome.message} ({found.words})")
         self._journal.write(end=outcome.message, success=outcome.success)
-        self._report_status("done", outcome.message)
+        self.report_status("done", outcome.message)
         return outcome
 
     def _make_stopped_outcome(self, why: str) -> Outcome:
-        self._report_status("stopped", why)
-        if not (self.judgements or self._drift):
+        self.report_status("stopped", why)
+        if not self._procedure.reported:
             return Outcome(False, why, ended=False, samples=len(self.samples))
-        return replace(self._outcome(False, why), ended=False)
+        return replace(self.make_outcome(False, why), ended=False)

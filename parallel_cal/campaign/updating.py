@@ -1,4 +1,4 @@
-"""A campaign that only decides whether a robot has drifted since its calibration."""
+"""The procedure of a campaign that decides whether a robot has drifted since its calibration."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.judging import Conclusion
 from parallel_cal.campaign.path_guard import Guard, PathError
+from parallel_cal.campaign.procedure import RunningCampaign
+from parallel_cal.campaign.status import Outcome
 from parallel_cal.campaign.targets import POOL, Target
 from parallel_cal.identification.age import USUAL_FACTOR
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.recheck import (
     CHANGED,
     DRIFTED,
@@ -29,6 +32,53 @@ from parallel_cal.recordings.simulate import with_noise
 from parallel_cal.session.session import Session
 
 PURPOSE = "to decide whether the robot has drifted"
+
+
+class Update:
+    """Decide after each pose; if the robot has drifted, measure until the updated model is nearly
+    as certain as the last calibration. A `Procedure`; `found` is what is known so far."""
+
+    judges_each_pose = True
+
+    def __init__(self, campaign: RunningCampaign):
+        self._campaign = campaign
+        self.found: Recheck | None = None
+
+    @property
+    def verdict(self) -> str:
+        return self.found.verdict if self.found else ""
+
+    @property
+    def reported(self) -> dict[str, Any]:
+        if self.found is None:
+            return {}
+        return {
+            "verdict": self.verdict,
+            "effects": [],
+            "laws": [],
+            "diagnosis": {},
+            "drift": self.found.document(),
+        }
+
+    def fitting(self, goal: Goal) -> FitOptions:
+        return FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma, update=True)
+
+    def plan(self, guard: Guard, text: str, goal: Goal) -> list[Target]:
+        return plan_targets(guard, text, goal)
+
+    def judge(self, over: str, due: bool) -> Outcome | None:
+        campaign = self._campaign
+        found: Recheck = campaign.work(judge, campaign.model, campaign.dataset, campaign.goal)
+        self.found, words = found, found.warnings[0]
+        campaign.report_status("judging", f"{len(campaign.samples)} samples; {found.progress}")
+        if done := over or ("" if due else "all planned poses were measured"):
+            return campaign.make_outcome(found.is_decided, f"{done}: {words}")
+        return None if needs_more(found) else campaign.make_outcome(True, words)
+
+    def conclude(self) -> Conclusion:
+        campaign = self._campaign
+        found: Conclusion = campaign.work(conclude, campaign.folder, campaign.dataset, self.found)
+        return found
 
 
 def plan_targets(guard: Guard, text: str, goal: Goal) -> list[Target]:
@@ -56,15 +106,9 @@ def judge(text: str, dataset: Dataset, goal: Goal) -> Recheck:
 def needs_more(found: Recheck) -> bool:
     """Whether further poses are worthwhile: it is not decided, or the robot has drifted and an
     updated model is not yet nearly as certain as the last calibration."""
-    too_uncertain = found.verdict == DRIFTED and found.growth > USUAL_FACTOR
-    return too_uncertain or not found.is_decided
-
-
-def document(found: Recheck) -> dict[str, Any]:
-    """The keys of a campaign's document that an update states."""
-    return {"verdict": found.verdict, "effects": [], "laws": [], "diagnosis": {}} | {
-        "drift": found.document()
-    }
+    if found.verdict != DRIFTED or found.expected is None:
+        return not found.is_decided
+    return found.expected.growth > USUAL_FACTOR
 
 
 @single_threaded()

@@ -17,6 +17,7 @@ from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
+from parallel_cal.identification.recheck import Recheck
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 
 IN_SAMPLE = (
@@ -106,8 +107,8 @@ def acceptance(
     # A few samples prove a drift by their evidence, which the prior of the last calibration makes
     # precise; at held-out poses they can only contradict it.
     drift = new.drift if old is None else None
-    if drift is not None and drift.is_robot_unchanged:
-        return Acceptance(then, now, True, drift.warnings[0])
+    if drift is not None and (why := _describe_useless_update(new, drift)):
+        return Acceptance(then, now, True, why)
     risen = dict[str, float]()
     if now.pixel_rms is None and now.position_rms and now.orientation_rms:
         # A mean of both would let one error rise for the fall of the other.
@@ -136,6 +137,21 @@ def acceptance(
         True,
         f"{said}the {' and '.join(risen)}{' ' if risen else ''}error at held-out poses "
         f"{verb}{change} ({format_errors(now, then)}{factor}){advice}{foreign}",
+    )
+
+
+def _describe_useless_update(new: FitResult, drift: Recheck) -> str:
+    """Say that the robot did not drift, or that its updated model is expected to be worse than the
+    last calibration; empty if neither is so."""
+    if drift.is_robot_unchanged or drift.expected is None:
+        return drift.warnings[0] if drift.is_robot_unchanged else ""
+    updated = drift.expected.predict_error(new.model.values - new.start.values)
+    if updated < drift.expected.kept:
+        return ""
+    return (
+        f"{drift.warnings[0]}. The updated model is expected to be worse than the last one: its "
+        f"error would be {updated:.2g} times the uncertainty of the last calibration, that of the "
+        f"last model is {drift.expected.kept:.2g} times it"
     )
 
 

@@ -217,6 +217,18 @@ class DriftTest:
         return -np.log(np.array(share, float))[:, None]
 
 
+@dataclass(frozen=True)
+class Look:
+    """The probabilities after some `samples`: that nothing has changed, and of each change by each
+    of the `SCALES` (H, 5). Together they are 1. The `rival` of "nothing" is the single change that
+    the samples exclude least, of those that just count, with its log Bayes factor against it."""
+
+    samples: int
+    unchanged: float
+    changed: np.ndarray
+    rival: tuple[str, float]
+
+
 def _integrate_out(C0: np.ndarray, A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Information (n, n) and pulls (n, D) about changes, with an error N(0, C0) beside them."""
     AC = A @ C0

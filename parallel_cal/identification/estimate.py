@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.observability import Spectrum, spectrum
-from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.identification.prior import Knowledge, Prior, count_determined
 from parallel_cal.identification.thresholds import (
     CONVERGED_STEP,
     REWEIGHTINGS,
@@ -99,17 +99,20 @@ class EstimationProblem:
     def _variance(self, system: System) -> float:
         """Variance of the residuals in noise units; 1 unless the noise is only assumed.
 
-        Directions with a tolerance as prior take few degrees of freedom. Which directions these are
+        Directions that a prior holds take few degrees of freedom. Which directions these are
         depends on the variance itself, so it is iterated. If less than one degree of freedom
         remains, the variance is 1.
         """
         if not self.assumed:
             return 1.0
-        scale = self.model.table.prior_sigma[self.free]
-        size = np.linalg.eigvalsh(system.normal * np.outer(scale, scale)).clip(0)
+        table, free = self.model.table, self.free
+        factor = np.diag(table.prior_sigma[free])
+        if isinstance(self.prior, Prior):
+            factor = table.tolerance[free][:, None] * self.prior.factor(table, free)
+        size = np.linalg.eigvalsh(factor.T @ system.normal @ factor).clip(0)
         rows, chi2, variance = float(system.informative.sum()), max(system.chi2, 1e-300), 0.0
         for _ in range(REWEIGHTINGS):
-            taken = np.sum(size / np.maximum(size + variance, 1e-300))
+            taken = count_determined(size, variance)
             if rows - taken < 1 and variance > 0:
                 return 1.0
             variance = float(chi2 / max(rows - taken, 1.0))

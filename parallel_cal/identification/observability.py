@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.identification.prior import Knowledge, Prior, count_determined
 from parallel_cal.identification.thresholds import (
     MIN_NAMED_SHARE,
     MIN_SIGMAS_PER_TOLERANCE,
@@ -36,7 +36,7 @@ class Spectrum:
     unidentifiable: tuple[dict[str, float], ...]
     weak: tuple[dict[str, float], ...]
     held: bool
-    taken: float  # degrees of freedom; a weak direction with a prior counts by the data's share
+    taken: float  # degrees of freedom: a direction with a prior counts by the data's share
 
 
 def spectrum(
@@ -56,6 +56,8 @@ def spectrum(
     known), or 0 without this prior. `variance`, also of the residuals in noise units, is the weight
     of a prior of all parameters.
     """
+    if prior:  # holds all directions
+        held = 0.0
     tolerance = (table.prior_sigma if held else table.tolerance)[free]
     names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
     # R of J tolerance = QR is a small matrix with the same singular values and directions.
@@ -69,12 +71,16 @@ def spectrum(
     little = sizes[:rank] < MIN_SIGMAS_PER_TOLERANCE * np.sqrt(held or 1.0)
     covariance = (seen.T / (sizes[:rank] ** 2 + held * little)) @ seen
     lost = np.sum(unseen**2, axis=0) > RELATIVE_RANK
+    taken = count_determined(sizes[:rank] ** 2, held * little)
     if prior:
         information = (seen.T * sizes[:rank] ** 2) @ seen
         covariance = np.linalg.inv(
             information + Knowledge.of(prior, table, free, variance).information
         )
         lost = np.zeros_like(lost)
+        known = Prior.from_tolerances(table) if prior is True else prior
+        own = np.linalg.svd(R @ known.factor(table, free), compute_uv=False)
+        taken = count_determined(own**2, variance)
     return Spectrum(
         sizes,
         directions,
@@ -84,7 +90,7 @@ def spectrum(
         tuple(combination(d, names) for d in unseen),
         tuple(combination(d, names) for d in seen[little]),
         held > 0,
-        rank - float(np.sum(held / (sizes[:rank][little] ** 2 + held))) if held else float(rank),
+        taken,
     )
 
 

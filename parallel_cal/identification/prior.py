@@ -40,6 +40,41 @@ class Prior:
         unseen = directions[:, size < RELATIVE_RANK**2 * size[-1]]
         return Prior(model.values, model.covariance + (unseen @ unseen.T) * scale)
 
+    def factor(self, table: ParameterTable, free: np.ndarray) -> np.ndarray:
+        """The Cholesky factor L (n_free, n_free) of the covariance L L^T of the free parameters, in
+        tolerances. FitError if it is singular."""
+        tolerance = table.tolerance[free]
+        scaled = self.covariance[np.ix_(free, free)] / np.outer(tolerance, tolerance)
+        try:
+            return np.asarray(np.linalg.cholesky(scaled))
+        except np.linalg.LinAlgError:
+            raise FitError(
+                "the covariance of the prior is singular: fix the parameters that it knows exactly"
+            ) from None
+
+
+def count_determined(squares: np.ndarray, weight: np.ndarray | float) -> float:
+    """Count the parameters that the data determine, not their prior: the trace of the hat matrix.
+
+    A direction whose change by one standard deviation of its prior moves the residuals by s sigmas
+    counts as s^2 / (s^2 + w), with the variance w of the residuals; without a prior, w = 0, as one.
+    With a true prior, the mean of chi2 is w times the number of residuals less this count (T.
+    Hastie, R. Tibshirani, Generalized Additive Models, 1990, section 3.5).
+
+    Parameters
+    ----------
+    squares : array (n,)
+        s^2.
+    weight : float or array (n,)
+        w.
+
+    Examples
+    --------
+    >>> count_determined(np.array([1e6, 1.0]), 1.0)
+    1.499999000001
+    """
+    return float(np.sum(squares / np.maximum(squares + weight, 1e-300)))
+
 
 @dataclass(frozen=True)
 class Knowledge:
@@ -59,17 +94,10 @@ class Knowledge:
         in noise units."""
         known = Prior.from_tolerances(table) if isinstance(prior, bool) else prior
         tolerance = table.tolerance[free]
-        scaled = known.covariance[np.ix_(free, free)] / np.outer(tolerance, tolerance)
-        information = np.zeros_like(scaled)
+        information = np.zeros((len(tolerance), len(tolerance)))
         if prior:
-            try:
-                factor = np.linalg.inv(np.linalg.cholesky(scaled))
-            except np.linalg.LinAlgError:
-                raise FitError(
-                    "the covariance of the prior is singular: fix the parameters that it knows "
-                    "exactly"
-                ) from None
-            information = np.asarray(factor.T @ factor)
+            inverse = np.linalg.inv(known.factor(table, free))
+            information = np.asarray(inverse.T @ inverse)
         return cls(tolerance, free, np.asarray(known.mean)[free], weight * information)
 
     @classmethod

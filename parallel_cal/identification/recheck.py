@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -17,8 +17,10 @@ from parallel_cal.identification.drift_test import (
     SCALES,
     Columns,
     DriftTest,
+    Look,
     probabilities,
 )
+from parallel_cal.identification.expected_drift import ExpectedDrift, expect_drift
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.update import update_prior
@@ -30,18 +32,6 @@ MIN_UNUSUAL_SCALE = 3.0
 MAX_LOOKS = 100  # numbers of samples after which the probabilities are computed
 DRIFTED, DEVICE_MOVED, UNCHANGED = "drifted", "device_moved", "unchanged"
 CHANGED, UNDECIDED = "changed", "undecided"
-
-
-@dataclass(frozen=True)
-class Look:
-    """The probabilities after some `samples`: that nothing has changed, and of each change by each
-    of the `SCALES` (H, 5). Together they are 1. The `rival` of "nothing" is the single change that
-    the samples exclude least, of those that just count, with its log Bayes factor against it."""
-
-    samples: int
-    unchanged: float
-    changed: np.ndarray
-    rival: tuple[str, float]
 
 
 @dataclass(frozen=True)
@@ -57,19 +47,15 @@ class Recheck:
         zeros with the temperature, all parts, and the measuring device.
     certainty : float
         The probability at which it is decided.
-    covariance : array (n_parameters, n_parameters)
-        Of the drift that the samples let expect, SI: the mean over the changes of the robot.
-    growth : float
-        The rms error that the uncertainty of an updated model would cause at samples like those of
-        the calibration, in units of that of the last calibration.
+    expected : ExpectedDrift, optional
+        What all samples let expect of the parameters, of an update and of further samples.
     """
 
     looks: tuple[Look, ...]
     names: tuple[str, ...]
     kinds: tuple[str, ...]
     certainty: float = CERTAINTY
-    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    growth: float = 1.0
+    expected: ExpectedDrift | None = None
 
     @property
     def _is_device(self) -> np.ndarray:
@@ -167,10 +153,12 @@ class Recheck:
         size = f"about {self.scale:.2g} times as far as usual (likeliest: {name}, {share:.0%})"
         words = f"since the last calibration the robot drifted {size}"
         if self.verdict == CHANGED:
-            moved = f"the measuring device moved ({self.outcomes[DEVICE_MOVED]:.0%})"
+            robot, device = self.outcomes[DRIFTED], self.outcomes[DEVICE_MOVED]
             words = (
-                f"either the robot drifted since the last calibration, {size}, or {moved}: check "
-                "where the device stands, or measure more of the planned poses"
+                f"either the robot drifted ({robot:.0%}), {size}, or the measuring device moved "
+                f"({device:.0%}); the samples do not tell which. Measure a fixed target as at the "
+                "calibration: if it is where it was, the device stands, and the robot drifted. "
+                f"{self._describe_further_samples()}"
             )
         elif self.scale >= MIN_UNUSUAL_SCALE:
             words += (
@@ -179,8 +167,19 @@ class Recheck:
             )
         return (words,)
 
+    def _describe_further_samples(self) -> str:
+        """Say whether more samples would tell a drift of the robot from a moved device."""
+        more = self.expected.more_samples if self.expected else None
+        if more is None:
+            return (
+                "More poses like these hardly tell: a moved device imitates the drift to within "
+                "the uncertainty of the last calibration"
+            )
+        return f"About {more} more poses like these would tell, too, in half of the cases"
+
     def document(self) -> dict[str, Any]:
         """The JSON document: probabilities, SI."""
+        expected = self.expected
         return {
             "verdict": self.verdict,
             "certainty": self.certainty,
@@ -192,7 +191,9 @@ class Recheck:
             },
             "scale": self.scale,
             "parts": self.parts,
-            "growth": self.growth,
+            "growth": expected and expected.growth,
+            "error_if_kept": expected and expected.kept,
+            "more_samples": expected and expected.more_samples,
             "looks": [{"samples": one.samples, **self._outcomes(one)} for one in self.looks],
         }
 
@@ -257,10 +258,11 @@ def weigh_changes(
         k = int(np.argmax(singles[0])) if test.names else None
         rival = ("", -np.inf) if k is None else (test.names[k], float(singles[0, k]))
         looks.append(Look(end, float(unchanged), changed, rival))
-    drift, growth = _expect_drift(model, test, looks[-1], A / test.variance)
+    information, pull = A / test.variance, b / test.variance
+    expected = expect_drift(model, test, looks[-1], information, pull, certainty)
     kinds = tuple(one.kind for one in test.changes)
     names = tuple(one.name for one in test.changes)
-    return Recheck(tuple(looks), names, kinds, certainty, drift, growth)
+    return Recheck(tuple(looks), names, kinds, certainty, expected)
 
 
 def check_certainty(certainty: float) -> None:
@@ -269,29 +271,9 @@ def check_certainty(certainty: float) -> None:
         raise FitError(f"certainty {certainty:g}: expected a probability above 0.5 and below 1")
 
 
-def _expect_drift(
-    model: Model, test: DriftTest, last: Look, A: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Return the covariance (n_parameters, n_parameters) of the drift, and how the error of an
-    updated model compares with that of the last calibration. If the device had moved, a fit of the
-    robot would not tell; so it is taken to stand."""
-    free = ~np.asarray(model.fixed)
-    n = int(free.sum())
-    own = np.array([one.kind != DEVICE for one in test.changes])
-    share = np.where(own[:, None], last.changed, 0.0)
-    weights = (share / (share.sum() + last.unchanged)) @ SCALES**2
-    factors = [one.factor[:n] for one in test.changes]
-    scaled = sum(w * F @ F.T for F, w in zip(factors, weights, strict=True))
-    C0, typical = test.C0[:n, :n], test.typical[:n, :n]
-    today = np.linalg.solve(np.eye(n) + (C0 + scaled) @ A[:n, :n], C0 + scaled)
-    growth = float(np.sqrt(np.vdot(typical, today) / np.vdot(typical, C0)))
-    drift = np.zeros((len(model.table), len(model.table)))
-    drift[np.ix_(free, free)] = scaled * np.outer(*[model.table.tolerance[free]] * 2)
-    return drift, growth
-
-
 def drift_prior(model: Model, found: Recheck) -> Prior:
     """Return the knowledge of today: the last calibration, widened by the drift that the samples
     let expect. Raises FitError for a model without a covariance."""
     last = update_prior(model, 0.0)
-    return Prior(last.mean, last.covariance + found.covariance)
+    drift = 0.0 if found.expected is None else found.expected.covariance
+    return Prior(last.mean, last.covariance + drift)

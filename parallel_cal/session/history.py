@@ -48,7 +48,7 @@ class State(_Part):
     `knocked` are the samples that the diagnosis excluded because they are far from all others; None
     if these samples were not diagnosed, or only a part of them.
     `drift` says whether the robot has drifted since its last calibration, in a session that updates
-    one.
+    one; `recheck` is the document of the `Recheck` that decided it.
     """
 
     number: int
@@ -72,6 +72,7 @@ class State(_Part):
     reason: str = ""
     knocked: Sequence[int] | None = None
     drift: str = ""
+    recheck: Mapping[str, Any] = {}
 
     @property
     def verdict_text(self) -> str:

@@ -49,7 +49,7 @@ PERSISTENT = ("excluded", "imported", "taken", "fitting")
 # The fields of a state that judge its model.
 JUDGED = (
     *("before", "errors", "noise", "weights", "sigmas_before", "sigmas", "samples"),
-    *("against", "verdict", "summary", "drift"),
+    *("against", "verdict", "summary", "drift", "recheck"),
 )
 
 
@@ -539,6 +539,7 @@ class Session(History):
 
     def _commit(self, words: str, step: Step, **changes: Any) -> State:
         """Append a step as the last state of the branch, with its errors."""
+        drift = step.result.drift
         judged = {
             "before": to_json_value(step.errors_to_beat.document()),
             "errors": to_json_value(step.result.held_out.summary.document()),
@@ -546,7 +547,8 @@ class Session(History):
             "weights": vars(noise_in_use(step.model, step.result.observations)),
             "against": step.acceptance.against,
             "samples": step.result.samples,
-            "drift": "" if step.result.drift is None else step.result.drift.warnings[0],
+            "drift": "" if drift is None else drift.warnings[0],
+            "recheck": {} if drift is None else to_json_value(drift.document()),
             "sigmas": step.result.rms_sigmas(step.result.held_out),
             "sigmas_before": step.sigmas_to_beat,
         }

@@ -186,4 +186,5 @@ def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True)
     }
     model = replace(model, history=(*robot.history, step))
     unseen = blind_spots([k.loop for k in loops], model, J)
-    return Combination(model, tuple(loops), float(r @ r), len(r) - seen.rank, seen, unseen)
+    dof = round(len(r) - seen.taken)
+    return Combination(model, tuple(loops), float(r @ r), dof, seen, unseen)

@@ -15,6 +15,7 @@ from parallel_cal.reporting.readable import (
     ABOUT_SAMPLES,
 )
 from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.drift_card import draw_drift_card
 from parallel_cal.workbench.first_screen import (
     MachineCard,
     Strip,
@@ -163,6 +164,7 @@ class Window:
             self.strip.show(view)
             self.errors.show(view)
             with self.missing:
+                draw_drift_card(self.bench.session.state)
                 self._missing(view)
                 draw_law_card(self.bench, view)
         if complete:

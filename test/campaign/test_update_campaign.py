@@ -14,8 +14,8 @@ from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.journal import FILE, CampaignError, find_unfinished
 from parallel_cal.campaign.updating import conclude, needs_more
-from parallel_cal.identification.drift_test import DEVICE
-from parallel_cal.identification.recheck import Look, Recheck
+from parallel_cal.identification.drift_test import DEVICE, Look
+from parallel_cal.identification.recheck import Recheck
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.recordings.joining import join_datasets
 
@@ -77,6 +77,7 @@ def test_a_change_of_robot_or_device_writes_no_model(tmp_path):
     found = Recheck(tuple(looks), names, kinds)
     assert (found.verdict, found.decision, needs_more(found)) == ("changed", (3, "changed"), True)
     assert "or the measuring device moved (50%)" in found.warnings[0]
+    assert "More poses like these hardly tell" in found.warnings[0]
     cell = DriftedCell(seed=SEED)
     campaign = Campaign(tmp_path, calibrated(SEED), GOAL, cell)
     data = join_datasets([cell.sample(lambda: None).dataset for _ in samples], [1, 2, 3])

@@ -124,7 +124,11 @@ def test_model_54_from_position_alone_names_nothing_it_cannot_know():
     result = fit(new_model("delta54"), as_dataset(samples, measured=only_position), prior=True)
     document = result.document()
     assert document["improvement_held_out"]["position"] > 10
-    assert result.estimate.dof == 94 * 3 - result.estimate.spectrum.rank
+    # The tolerances hold some directions, which take less than a degree of freedom each.
+    rank, dof = result.estimate.spectrum.rank, result.estimate.dof
+    assert 94 * 3 - rank < dof < 94 * 3
+    low, high = document["chi2_band"]
+    assert low < result.estimate.chi2_per_dof < high
 
 
 def test_projecting_out_equals_a_measurement_without_weight():

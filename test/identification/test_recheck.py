@@ -106,7 +106,7 @@ def test_a_zero_that_jumped_is_named_after_few_samples():
     samples, verdict = found.decision
     assert (samples <= 6, verdict) == (True, "drifted")
     assert "likeliest: zero of joint2" in found.warnings[0]
-    assert found.growth < 2
+    assert found.expected.growth < 2
     assert found.document()["looks"][-1]["drifted"] == pytest.approx(found.outcomes["drifted"])
 
 
@@ -163,6 +163,8 @@ def test_a_session_updates_the_last_calibration_and_counts_its_samples_once(tmp_
     session_of.take(today.to_json)
     first = session_of.fit()
     assert "likeliest: zero of joint2" in first.drift
+    assert first.recheck["decision"]["verdict"] == "drifted"
+    assert pc.Session(tmp_path).state.recheck == first.recheck
     sigma = session_of.model.covariance.copy()
     assert session_of.fit().drift == first.drift
     assert session_of.model.covariance == pytest.approx(sigma)
@@ -192,3 +194,42 @@ def test_samples_that_place_the_device_say_nothing_about_a_drift():
     assert result.registration is not None
     assert result.drift is None
     assert any("placed the measuring device" in words for words in result.warnings)
+
+
+def actual_error(model, zeros=(0.0, 0.0, 0.0)):
+    """Rms position error (m) at poses that no fit used, of a robot whose zeros have shifted."""
+    r = np.random.default_rng(11).uniform((-0.06, -0.06, 0.14), (0.06, 0.06, 0.26), (50, 3))
+    away = pc.Kinematics(model).direct(random_delta(0).inverse(r)[0] + zeros).position - r
+    return float(np.sqrt((away**2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize(
+    ("moved", "samples", "seed", "is_better"),
+    [({"zeros": (6e-4,) * 3}, 4, 4, True), ({"shift": (1e-4, 1e-4, 0.0)}, 4, 6, False)],
+)
+def test_an_update_that_is_expected_to_be_worse_is_not_written(moved, samples, seed, is_better):
+    """All zeros together, or the tracker: few poses do not tell which, but which is likelier."""
+    result = pc.fit(
+        calibrated(), session(samples, np.random.default_rng(seed), **moved), update=True
+    )
+    drift, change = result.drift, result.model.values - result.start.values
+    assert drift.verdict == "changed"
+    kept, updated = (actual_error(m, moved.get("zeros", 0.0)) for m in (calibrated(), result.model))
+    assert (updated < kept) == is_better
+    assert (drift.expected.predict_error(change) < drift.expected.kept) == is_better
+    assert drift.expected.predict_error(0.0 * change) == pytest.approx(drift.expected.kept)
+    assert not is_better or not acceptance(result).against
+    assert is_better or "expected to be worse than the last one" in acceptance(result).against
+
+
+def test_an_answer_that_is_not_decided_names_both_causes_and_what_tells_them_apart():
+    found = recheck(calibrated(), session(4, np.random.default_rng(4), zeros=(6e-4,) * 3))
+    robot, device = found.outcomes["drifted"], found.outcomes["device_moved"]
+    assert f"the robot drifted ({robot:.0%})" in found.warnings[0]
+    assert f"the measuring device moved ({device:.0%})" in found.warnings[0]
+    assert "Measure a fixed target" in found.warnings[0]
+    more = found.document()["more_samples"]
+    assert 0 < more < 10
+    assert f"About {more} more poses" in found.warnings[0]
+    enough = recheck(calibrated(), session(4 + more, np.random.default_rng(4), zeros=(6e-4,) * 3))
+    assert enough.verdict == "drifted"

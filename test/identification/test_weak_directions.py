@@ -7,6 +7,7 @@ import pytest
 import virtual_day as vd
 from datasets import as_dataset, measured, quiet
 from test_unmeasured import only
+from virtual_setups import random_delta
 
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
@@ -19,6 +20,7 @@ from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import ASSUMED, observe
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
 
 ALL = new_model("delta54")
@@ -123,3 +125,44 @@ def test_a_floor_that_is_rough_is_a_floor():
     found = minimise(EstimationProblem(model, free), reach, "")
     assert found.iterations < 20
     assert (found.values[0] - model.table.nominal[0]) / tolerance == pytest.approx(1, abs=1e-3)
+
+
+def update_of(n, seed, share=0.02):
+    """A fit to few samples of an independent Delta whose dimensions are known to a share of their
+    tolerances, which is the prior."""
+    model, rng = new_model("delta24"), np.random.default_rng([seed, n])
+    joint, tracker = 2e-5, 30e-6
+    r = rng.uniform((-0.06, -0.06, 0.14), (0.06, 0.06, 0.26), (n, 3))
+    data = Dataset.from_arrays(
+        model.joints,
+        random_delta(seed, share).inverse(r)[0] + rng.normal(0, joint, (n, 3)),
+        r + rng.normal(0, tracker, (n, 3)),
+        measured=[True] * 3 + [False] * 3,
+        pose_cov=np.diag([tracker**2] * 3 + [1e6] * 3),
+        joint_sigma=[joint] * 3,
+    )
+    known = Prior(model.table.nominal, np.diag((share * model.table.tolerance) ** 2))
+    return estimate(model, observe(model, data), ~model.fixed, known)
+
+
+def mean_chi2(n, seeds):
+    """Mean chi2 per degree of freedom, with its standard deviation."""
+    found = [update_of(n, seed) for seed in range(seeds)]
+    dof = sum(float(one.informative.sum()) - one.spectrum.taken for one in found)
+    assert all(0 < one.dof <= 3 * n for one in found)
+    return sum(one.chi2 for one in found) / dof, (2 / dof) ** 0.5
+
+
+def test_a_prior_of_all_parameters_takes_only_the_degrees_of_freedom_that_it_does_not_hold():
+    """Nine residuals of three samples beside 24 parameters: counted one by one, none remained."""
+    mean, sigma = mean_chi2(3, 12)
+    assert abs(mean - 1) < 3 * sigma < 0.6
+    loose = update_of(3, 0, share=1.0)
+    assert loose.spectrum.taken == pytest.approx(9, abs=0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, 6, 12, 24])
+def test_the_mean_of_chi2_per_degree_of_freedom_is_one_with_a_prior(n):
+    mean, sigma = mean_chi2(n, 150)
+    assert abs(mean - 1) < 3 * sigma < 0.15

@@ -73,7 +73,7 @@ def test_a_plate_with_two_holes_calibrates_the_whole_workspace(seed):
     assert after < 45e-6
     assert result.estimate.spectrum.rank == 24
     assert not result.estimate.spectrum.unidentifiable
-    assert result.estimate.dof == 120 - 24
+    assert 120 - 24 <= result.estimate.dof < 120 - 20  # tolerances hold some of the directions
     low, high = chi2_band(result.estimate.dof)
     assert low < result.estimate.chi2_per_dof < high
 
@@ -211,7 +211,9 @@ def test_a_ball_bar_alone_gives_a_robot_that_is_right_along_the_bar():
     )
     assert before > 0.2e-3
     assert after < 5e-6
-    assert result.estimate.dof == 150 - result.estimate.spectrum.rank
+    rank = result.estimate.spectrum.rank
+    assert 150 - rank <= result.estimate.dof < 150 - 0.8 * rank
+    assert result.estimate.dof == round(150 - result.estimate.spectrum.taken)
     # Robot and centre may move together anywhere: the six freedoms of {B}.
     assert result.free.sum() - result.estimate.spectrum.rank == 6
 
