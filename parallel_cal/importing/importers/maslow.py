@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +189,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         remarks.append(DOUBLE_SINE)
     if abs(machine.radius - FIRMWARE_RADIUS) > 0.02 * MM:
         remarks.append(RESTARTED.format(machine.radius / MM))
+    remarks += stated.describe_unused()
     return ConfiguredRobot(machine.model(), tuple(remarks), None)
 
 
@@ -211,7 +212,7 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
     )
     q = machine.joints(sent)
     covariance = None if sigma is None else np.diag([sigma**2] * 3 + [np.nan] * 3)
-    return Dataset.from_arrays(
+    found = Dataset.from_arrays(
         ["left", "right"],
         q,
         measured,
@@ -221,6 +222,7 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
         source=", ".join(map(str, paths)),
         sha256=sha256(paths),
     )
+    return replace(found, warnings=(*found.warnings, *stated.describe_unused()))
 
 
 def _places(path: Path, edge: Array) -> tuple[Array, Array]:
