@@ -272,3 +272,44 @@ def test_an_export_says_by_how_much_each_chain_is_longer(tmp_path):
     ]
     done = export_into(model.with_values(np.array(values)), "maslow", [path])
     assert any("+2.00 (left) and -2.00 mm (right)" in words for words in done.remarks)
+
+
+def marks(folder, sent=1.0, measured=1.0, ini=INI):
+    """Return a table of marks in mm times a factor, and a configuration."""
+    (folder / "groundcontrol.ini").write_text(ini)
+    places = 0.9 * np.array([(1219, 609), (-1219, 609), (0, 0), (-1219, -609), (1219, -609)])
+    rows = np.hstack([places * sent, (places + [1.0, 0.5]) * measured])
+    head = "x,y,measured_x,measured_y"
+    np.savetxt(folder / "marks.csv", rows, delimiter=",", header=head, comments="")
+    return [folder / "marks.csv", folder / "groundcontrol.ini"]
+
+
+@pytest.mark.parametrize(
+    ("sent", "measured", "named"),
+    [
+        (1.0, 1.0, []),
+        (1.0, 0.3, []),  # a part of the sheet
+        (1 / 25.4, 1 / 25.4, ["sent places", "measured places"]),
+        (1.0, 1 / 25.4, ["measured places"]),
+        (1e-3, 1e-3, ["sent places", "measured places"]),
+    ],
+)
+def test_places_in_another_unit_than_the_sheet_are_named(sent, measured, named, tmp_path):
+    warnings = samples("maslow", marks(tmp_path, sent, measured)).warnings
+    unit = "m" if sent == 1e-3 else "inches"
+    assert [w for w in warnings if f"they fit if they are in {unit}, not mm" in w] == [*warnings]
+    assert [w.split(" are")[0] for w in warnings] == [f"the {name}" for name in named]
+
+
+def test_a_machine_in_inches_is_named(tmp_path):
+    inches = INI.replace("2978.4", "117.26").replace("2438.4", "96").replace("1219.2", "48")
+    files = marks(tmp_path, ini=inches.replace("463", "18.2"))
+    found = configured(files[1:]).remarks
+    assert any(
+        "motors, are 3.9 % of the usual sizes: they fit if they are in inches" in r for r in found
+    )
+    message = (
+        "48 mm: .*; the sent places are 22.9 times the sizes of the sheet: they fit if the sizes of"
+    )
+    with pytest.raises(ParallelCalError, match=message):
+        samples("maslow", files)

@@ -24,6 +24,7 @@ from parallel_cal.base.units import LENGTHS, MM
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines, sha256
 from parallel_cal.importing.sled_chains import SAG_UNIT, Quadrilateral, Triangular
+from parallel_cal.importing.unit_doubts import doubt_unit
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
@@ -80,6 +81,8 @@ FIELDS = {
     "left": Field(f"{ADVANCED}leftchaintolerance", "$40", 0.0),
     "right": Field(f"{ADVANCED}rightchaintolerance", "$41", 0.0),
 }
+SPACING = ("the sizes of the machine, by the distance of its motors,", "the usual sizes")
+SPACINGS = (0.5, 2.0)  # from that of a Maslow
 RING_SIZES, MOUNT_SIZES = ("rotation",), ("width", "above", "below")
 FIRMWARE_ROTATION = 250.0  # mm, the firmware's own default
 WORDS = {  # that GroundControl keeps beside the number which it computed from them
@@ -187,6 +190,8 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         remarks.append(f"not stated, so that the default counts: {', '.join(lacking)}")
     if not ring:
         remarks.append(DOUBLE_SINE)
+    spacing = read_number(stated, "spacing") / FIELDS["spacing"].default
+    remarks += doubt_unit(spacing, *SPACING, SPACINGS)
     if abs(machine.radius - FIRMWARE_RADIUS) > 0.02 * MM:
         remarks.append(RESTARTED.format(machine.radius / MM))
     remarks += stated.describe_unused()
@@ -210,6 +215,11 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
     sent, measured = (
         np.concatenate(each) for each in zip(*(_places(path, edge) for path in tables), strict=True)
     )
+    warnings = [
+        words
+        for places, name in ((sent, "sent"), (measured, "measured"))
+        for words in _doubt_places(places, edge, f"the {name} places")
+    ]
     q = machine.joints(sent)
     covariance = None if sigma is None else np.diag([sigma**2] * 3 + [np.nan] * 3)
     found = Dataset.from_arrays(
@@ -222,7 +232,7 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
         source=", ".join(map(str, paths)),
         sha256=sha256(paths),
     )
-    return replace(found, warnings=(*found.warnings, *stated.describe_unused()))
+    return replace(found, warnings=(*found.warnings, *warnings, *stated.describe_unused()))
 
 
 def _places(path: Path, edge: Array) -> tuple[Array, Array]:
@@ -242,7 +252,14 @@ def _places(path: Path, edge: Array) -> tuple[Array, Array]:
         raise place.error(
             columns[axis],
             f"{numbers[k, axis] / MM:g} mm",
-            f"a place on the sheet, within {edge[axis] / MM:g} mm: the firmware stops at its edge",
+            f"a place on the sheet, within {edge[axis] / MM:g} mm: the firmware stops at its edge"
+            + "".join(f"; {words}" for words in _doubt_places(numbers, edge, "the sent places")),
         )
     heights = np.zeros((len(numbers), 1))
     return np.hstack([numbers[:, :2], heights]), np.hstack([numbers[:, 2:], heights])
+
+
+def _doubt_places(places: Array, edge: Array, what: str) -> list[str]:
+    """Name the unit with which places (N, 2 or more) m fill a sheet with edges (2,) m."""
+    share = float((np.abs(places[:, :2]) / edge).max(initial=0.0))
+    return doubt_unit(share, what, "the sizes of the sheet")
