@@ -6,6 +6,7 @@ import pytest
 import virtual_shelf as vf
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.cli import main as cli
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.identification.fit import fit
 from parallel_cal.importing.controller_files import configured, samples
@@ -313,3 +314,38 @@ def test_a_machine_in_inches_is_named(tmp_path):
     )
     with pytest.raises(ParallelCalError, match=message):
         samples("maslow", files)
+
+
+@pytest.mark.wide
+def test_a_diagnosis_proposes_to_export_only_a_model_that_was_fitted(tmp_path, monkeypatch, capsys):
+    """It fits the model itself and writes nothing: the model that it was given has the numbers of
+    the file still. A sample that is far off is decided first."""
+    monkeypatch.chdir(tmp_path)
+    path = written(tmp_path, INI)
+    start = configured([path]).model
+    off = {"left.A_x": -9 * MM, "right.A_x": 7 * MM}
+    found = dict(zip(start.table.names, start.values, strict=True))
+    twin = vf.HangingSled({name: v + off.get(name, 0.0) for name, v in found.items()})
+    cut(tmp_path, chains(settings([path])), twin, 30, 1)
+
+    def run(*words):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([*words])
+        assert ended.value.code == 0
+        return [line.strip() for line in capsys.readouterr().out.splitlines()]
+
+    fitting = "parallel-cal fit maslow.yaml cuts.json -o better.yaml"
+    run("new", "--from", path.name, "-o", "maslow.yaml")
+    run("import", "maslow", "cuts.csv", path.name, "-o", "cuts.json")
+    assert run("diagnose", "maslow.yaml", "cuts.json")[-1] == fitting
+    run(*fitting.split()[1:])
+    export = "parallel-cal export better.yaml --to maslow --into groundcontrol.ini"
+    assert run("diagnose", "better.yaml", "cuts.json")[-1].endswith(export)
+    rows = (tmp_path / "cuts.csv").read_text().splitlines()
+    x, y, at_x, at_y = rows[5].split(",")
+    rows[5] = f"{x},{y},{float(at_x) + 60},{at_y}"
+    (tmp_path / "cuts.csv").write_text("\n".join(rows))
+    run("import", "maslow", "cuts.csv", path.name, "-o", "cuts.json")
+    shown = run("diagnose", "better.yaml", "cuts.json")
+    assert "parallel-cal fit better.yaml cuts.json --data exclude=4 -o refitted.yaml" in shown
+    assert not any("parallel-cal export" in line for line in shown)
