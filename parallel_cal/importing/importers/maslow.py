@@ -75,6 +75,7 @@ FIELDS = {
     "below": Field(f"{GENERAL}sledcg", "$6", 79.0),
     "kind": Field(f"{COMPUTED}kinematicstypecomputed", "$7", 1.0),
     "rotation": Field(f"{ADVANCED}rotationradius", "$8", 100.0),
+    "steps": Field(f"{ADVANCED}encodersteps", "$12", 8113.73),
     "turn": Field(f"{COMPUTED}distperrot", "$13", 63.5),
     "sag": Field(f"{ADVANCED}chainsagcorrection", "$37", 0.0),
     "over": Field(f"{COMPUTED}chainoversprocketcomputed", "$38", 1.0),
@@ -200,7 +201,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
 def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
     """Read tables of places, with the settings by which the firmware moved there; `sigma` (m) is
-    the noise of a measured coordinate.
+    the noise of a measured coordinate. The noise of a chain is that of a step of its encoder.
 
     Coordinates are expected to count from the middle of the sheet along its edges, as those that
     are sent. If they do not, a fit finds where they count from.
@@ -221,6 +222,7 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
         for words in _doubt_places(places, edge, f"the {name} places")
     ]
     q = machine.joints(sent)
+    step = read_number(stated, "turn") * MM / read_number(stated, "steps", "steps a turn", 1.0)
     covariance = None if sigma is None else np.diag([sigma**2] * 3 + [np.nan] * 3)
     found = Dataset.from_arrays(
         ["left", "right"],
@@ -228,6 +230,7 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
         measured,
         measured=np.array([True, True, False, False, False, False]),
         pose_cov=covariance,
+        joint_sigma=np.full(2, step / 12**0.5),
         frame="base",
         source=", ".join(map(str, paths)),
         sha256=sha256(paths),
