@@ -86,7 +86,7 @@ from parallel_cal.identification.set_up import place_set_up
 from parallel_cal.identification.thresholds import ENOUGH_SAMPLES
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.identification.update import update_prior
-from parallel_cal.model.model import Model, Noise
+from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint
@@ -642,7 +642,6 @@ def fit_unjudged(
     fitted, unusual, implausible, insisted = _check(found, options)
     after = errors(fitted, found.observations)
     check_joint_errors(fitted, after)
-    fitted = replace(fitted, noise=_keep_stated_noise(model.noise, options.joint_sigma))
     result = FitResult(
         model=replace(fitted, fixed=model.fixed if is_partial else ~mask),
         start=model,
@@ -669,15 +668,6 @@ def fit_unjudged(
     return UnjudgedFit(result, partial(_judge_fold, identify, found, options))
 
 
-def _keep_stated_noise(noise: Noise, joint_sigma: float | None) -> Noise:
-    """The noise of a model file with that of the joints as an option stated it: who diagnoses the
-    model, or fits it again, weighs its samples alike. Noise that was only assumed beside it is
-    unknown then, because the file has one mark for all."""
-    if joint_sigma is None:
-        return noise
-    return Noise(joint_sigma) if noise.assumed else replace(noise, joint=joint_sigma)
-
-
 def _observe(
     model: Model,
     dataset: Dataset,
@@ -695,7 +685,7 @@ def _observe(
 def _check(
     found: Identified, options: FitOptions
 ) -> tuple[Model, Mapping[str, UnusualSize], str, Sequence[str]]:
-    """What `check_plausible` returns of a fitted model."""
+    """What `check_plausible` returns of a fitted model, which keeps the noise that was stated."""
     scaled = found.scaled
     # A scale that all lengths share, such as mm for m, leaves only noise, too.
     leaves_noise = scaled is None and leaves_only_noise(
@@ -706,6 +696,7 @@ def _check(
     )
     if scaled is not None and implausible:
         raise ImplausibleGeometryError(f"{scaled}. {implausible}")
+    fitted = replace(fitted, noise=fitted.noise.with_joints(options.joint_sigma))
     return fitted, unusual, implausible, insisted
 
 

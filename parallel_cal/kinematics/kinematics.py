@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -26,12 +25,7 @@ from parallel_cal.kinematics.solutions import (
     Status,
     replace_rows,
 )
-from parallel_cal.kinematics.split_turns import (
-    MAX_CORRECTIONS,
-    TURN_TOLERANCE,
-    splits_turns,
-    turn_back,
-)
+from parallel_cal.kinematics.split_turns import restore_turn
 from parallel_cal.model.model import Model
 
 __all__ = ["MAX_CLOSED_RESIDUAL_M", "Kinematics", "Solutions", "Status"]
@@ -153,7 +147,7 @@ class Kinematics:
         SolveError
             If position or rotation has the wrong shape.
         """
-        if start is None and not self._splits_turns:
+        if start is None and not self.inverse_problem.splits_turns:
             found = self._inverse_one(position, rotation, at)
             if found is not None:
                 return found
@@ -251,10 +245,6 @@ class Kinematics:
         return fast_solver(self.direct_problem)
 
     @cached_property
-    def _splits_turns(self) -> bool:
-        return splits_turns(self.model.mechanism)
-
-    @cached_property
     def _inverse_one(self) -> FastSolver:
         return fast_solver(self.inverse_problem)
 
@@ -315,31 +305,15 @@ class Kinematics:
         begin = None if start is None else problem.begin(given, start)
         reached = problem.solve_many(given, rows) if begin is None else problem.refine(begin, rows)
         found = self._classify(problem, given, rows, reached, begin, any_branch)
-        if problem.unknown_joints and self._splits_turns:
-            found = self._turn_back(problem, given, rows, found)
-        return found
+        if not problem.splits_turns:
+            return found
 
-    def _turn_back(
-        self, problem: Problem, given: np.ndarray, rows: np.ndarray, found: Solutions
-    ) -> Solutions:
-        """Return solutions that have the controlled coordinate of the orientation."""
-        turns = slice(self._n + 3, self._n + 12)
-        asked = given[:, turns].reshape(-1, 3, 3)
-        for count in range(MAX_CORRECTIONS + 1):
-            off = found.solved.copy()
-            R, away = turn_back(self.model.mechanism, asked[off], found.rotation[off])
-            wrong = away > TURN_TOLERANCE
-            off[off] = wrong
-            if not off.any() or count == MAX_CORRECTIONS:
-                break
-            turned = given[off]
-            turned[:, turns] = R[wrong].reshape(-1, 9)
-            begin = problem.begin(turned, found[off])
-            reached = problem.refine(begin, rows[off])
-            again = self._classify(problem, turned, rows[off], reached, begin, True)
-            found = replace_rows(found, off, again)
-        status = np.where(off, Status.NOT_CONVERGED, found.status).astype(np.int8)
-        return replace(found, status=status)
+        def iterate(turned: np.ndarray, some: np.ndarray) -> Solutions:
+            again = problem.begin(turned, found[some])
+            reached = problem.refine(again, rows[some])
+            return self._classify(problem, turned, rows[some], reached, again, True)
+
+        return restore_turn(self.model.mechanism, given, found, iterate)
 
     def _classify(
         self,

@@ -223,7 +223,7 @@ def test_a_controlled_turn_is_that_of_the_pose_whatever_the_uncontrolled_ones(ti
 
 
 def test_a_turn_that_cannot_be_restored_is_not_called_solved(monkeypatch):
-    monkeypatch.setattr("parallel_cal.kinematics.kinematics.MAX_CORRECTIONS", 1)
+    monkeypatch.setattr("parallel_cal.kinematics.split_turns.MAX_CORRECTIONS", 1)
     found = pc.Kinematics(hinged_wrist(16, controls=["x", "y", "rz"])).inverse(
         [[0.03, -0.02, 0.09]], Rotation.from_rotvec([[0.2, 0.3, 0.2]]).as_matrix()
     )
