@@ -69,8 +69,15 @@ def diagnose(
         "REFITTED.yaml": "refitted.yaml",
     }
     lines = [name_files(line, names) for line in summarize(found)]
-    if not found.effects and (command := export_command(found.model, model)):
-        lines.append(Line("then:" if found.next_steps else "next:", command, COMMAND))
+    label = "then:" if found.next_steps else "next:"
+    # A model that effects or a fit without a sample will replace is not one to use.
+    is_last = not (found.effects or found.knocked)
+    if is_last and judged.covariance is None:
+        command = command_line(["fit", model], found.model, bags, data, "-o", "better.yaml")
+        lines.append(Line(label, "fit the model: the diagnosis only compared fits, and wrote none"))
+        lines.append(Line("", command, COMMAND))
+    elif is_last and (command := export_command(found.model, model)):
+        lines.append(Line(label, command, COMMAND))
     elif not found.next_steps:
         command = command_line(["report", model], found.model, bags, data, "-o", "report.html")
         lines.append(Line("next:", command, COMMAND))

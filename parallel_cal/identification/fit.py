@@ -685,7 +685,7 @@ def _observe(
 def _check(
     found: Identified, options: FitOptions
 ) -> tuple[Model, Mapping[str, UnusualSize], str, Sequence[str]]:
-    """What `check_plausible` returns of a fitted model."""
+    """What `check_plausible` returns of a fitted model, which keeps the noise that was stated."""
     scaled = found.scaled
     # A scale that all lengths share, such as mm for m, leaves only noise, too.
     leaves_noise = scaled is None and leaves_only_noise(
@@ -696,6 +696,7 @@ def _check(
     )
     if scaled is not None and implausible:
         raise ImplausibleGeometryError(f"{scaled}. {implausible}")
+    fitted = replace(fitted, noise=fitted.noise.with_joints(options.joint_sigma))
     return fitted, unusual, implausible, insisted
 
 

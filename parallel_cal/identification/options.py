@@ -50,8 +50,9 @@ class FitOptions:
         cross-validation. A very small share, such as 0.001, holds out one pose at a time
         (leave-one-out). Default 0.25.
     joint_sigma : float, optional
-        Standard deviation of the joint readings, rad or m. Default None: take it from the
-        recording, else from the model file, else from the scatter within dwells.
+        Standard deviation of the joint readings, rad or m. The identified model keeps it as its
+        `noise`. Default None: take it from the recording, else from the model file, else from the
+        scatter within dwells.
     prior : bool or Prior, optional
         Prior knowledge of the parameters. True uses the tolerances of all parameters as priors,
         False uses none. None uses them only for parameters, or combinations of

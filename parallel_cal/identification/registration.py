@@ -237,7 +237,14 @@ def prepared_for_fit(
     if one that was free is fixed, the frame must be able to move in its place. If an effect is new,
     the frame stands where the lack of this effect has moved it. With `once`, a single step is made:
     the robot makes up for what a frame that depends on its parameters is off.
+
+    Coordinates of a frame that no pose of the robot shows are held. A tilt of the plane in which a
+    robot moves only makes it smaller, by the square of the angle: a fit from 0 does not see it, and
+    a fit from elsewhere takes errors of scale for it.
     """
+    hidden = np.isin(model.table.names, [f"{SENSOR}.{name}" for name in _list_hidden(model)])
+    if (hidden & ~np.asarray(model.fixed)).any():
+        model = replace(model, fixed=model.fixed | hidden)
     refixed = registration is None and not shows_pose(model)
     if refixed and not _are_others_free(model, options):
         return model, None
@@ -413,8 +420,7 @@ def _with_frames(model: Model, frames: Frames) -> Model:
     """The model whose sensor `device_frame` has these frames as nominal values."""
     now: Any = _device(model) or load_sensor(SENSOR)
     names = [p.name for p in now.parameters(model.mechanism)]
-    shown = list_shown_displacements(model.mechanism.moves)
-    hidden = [f"frame.{c}" for c in POSE if c not in shown and f"frame.{c}" in names]
+    hidden = [name for name in _list_hidden(model) if name in names]
     placed = now.placed(frames.f, frames.F, frames.t, frames.T, np.eye(3))
     sensor = replace(placed, fixed=tuple(dict.fromkeys([*now.fixed, *hidden])))
     others = tuple(s for s in model.sensors if s.name != SENSOR)
@@ -422,6 +428,12 @@ def _with_frames(model: Model, frames: Frames) -> Model:
     model = replace(model, fixed=model.fixed | model.table.matching(sensor.fixed_patterns()))
     own = [name.startswith((FRAME, TARGET)) for name in model.table.names]
     return model.with_values(np.where(own, 0.0, model.values), model.covariance)
+
+
+def _list_hidden(model: Model) -> list[str]:
+    """The parameters of a device's frame that no pose of the robot shows."""
+    shown = list_shown_displacements(model.mechanism.moves)
+    return [f"frame.{coordinate}" for coordinate in POSE if coordinate not in shown]
 
 
 def _with_fitted_frames(model: Model, observations: Observations, there: DevicePoses) -> Model:

@@ -88,6 +88,10 @@ class Delta(Protocol):
     def nominal(self) -> dict[str, float]:
         """These numbers by the names of the mechanism's parameters."""
 
+    @property
+    def usual_reach(self) -> float:
+        """The radius (m) around the middle that is used, if the configuration does not state it."""
+
 
 def count_steps(scale: Array | None) -> dict[str, Array | None]:
     """Return what `Towers` states of a firmware whose scale counts steps."""

@@ -13,6 +13,7 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.units import LENGTHS, MM
 from parallel_cal.importing.deltas import JOINT_NAMES, Delta, compute_positions, end_stops
 from parallel_cal.importing.settings import SourceLine, sha256
+from parallel_cal.importing.unit_doubts import doubt_unit
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset
@@ -196,12 +197,15 @@ def make_touch_samples(
     if visits is None:
         visits = np.round(at[:, :2] / SAME_PLACE)
     q = delta.joints(at)
+    share = float(np.hypot(*at[:, :2].T).max(initial=0.0)) / delta.usual_reach
+    doubts = doubt_unit(share, "x and y of the touches", "the lengths of the machine")
     for k in np.flatnonzero(~np.isfinite(q).all(axis=1))[:1]:
         x, y, z = at[k] / MM
         point = f"x {x:.3f} y {y:.3f} z {z:.3f} mm"
-        raise places[k].error("position", point, "a point within reach of the configured rods")
+        expected = "; ".join(["a point within reach of the configured rods", *doubts])
+        raise places[k].error("position", point, expected)
     found = make_joint_samples(
-        q, np.zeros(len(q)), paths, step, visits, dropped, warnings, printed=printed
+        q, np.zeros(len(q)), paths, step, visits, dropped, [*warnings, *doubts], printed=printed
     )
     # The positions depend on every number of the configuration, and so do the joints.
     numbers = {name: float(number) for name, number in delta.nominal.items()}

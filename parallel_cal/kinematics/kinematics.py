@@ -25,6 +25,7 @@ from parallel_cal.kinematics.solutions import (
     Status,
     replace_rows,
 )
+from parallel_cal.kinematics.split_turns import restore_turn
 from parallel_cal.model.model import Model
 
 __all__ = ["MAX_CLOSED_RESIDUAL_M", "Kinematics", "Solutions", "Status"]
@@ -146,7 +147,7 @@ class Kinematics:
         SolveError
             If position or rotation has the wrong shape.
         """
-        if start is None:
+        if start is None and not self.inverse_problem.splits_turns:
             found = self._inverse_one(position, rotation, at)
             if found is not None:
                 return found
@@ -301,11 +302,18 @@ class Kinematics:
     ) -> Solutions:
         """Solve from the starts, or on the branch of home. With `any_branch`, iterations from a
         start may end on another branch than its own."""
-        if start is None:
-            return self._classify(problem, given, rows, problem.solve_many(given, rows))
-        begin = problem.begin(given, start)
-        reached = problem.refine(begin, rows)
-        return self._classify(problem, given, rows, reached, begin, any_branch)
+        begin = None if start is None else problem.begin(given, start)
+        reached = problem.solve_many(given, rows) if begin is None else problem.refine(begin, rows)
+        found = self._classify(problem, given, rows, reached, begin, any_branch)
+        if not problem.splits_turns:
+            return found
+
+        def iterate(turned: np.ndarray, some: np.ndarray) -> Solutions:
+            again = problem.begin(turned, found[some])
+            reached = problem.refine(again, rows[some])
+            return self._classify(problem, turned, rows[some], reached, again, True)
+
+        return restore_turn(self.model.mechanism, given, found, iterate)
 
     def _classify(
         self,

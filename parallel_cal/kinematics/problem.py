@@ -15,6 +15,7 @@ from parallel_cal.kinematics.solutions import (
     Solutions,
     Status,
 )
+from parallel_cal.kinematics.split_turns import splits_turns
 from parallel_cal.kinematics.start import start_function
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
@@ -51,6 +52,7 @@ class Problem:
         self.model, self.name = model, name
         self._n = len(model.joints)
         self.unknown_joints = name == "inverse"
+        self.splits_turns = self.unknown_joints and splits_turns(model.mechanism)
         self.low, self.high = limits_in(name, model.mechanism).T
         (tables,) = self.calls.tables(model.values[: len(robot.table)])
         self.k_and_limits = np.concatenate([tables, self.low, self.high])

@@ -46,6 +46,15 @@ class Noise:
     orientation: float | None = None
     assumed: bool = False
 
+    def with_joints(self, sigma: float | None) -> Noise:
+        """Return the noise with that of all joints stated, rad or m; itself if `sigma` is None.
+
+        What was assumed beside it is unknown then: there is one mark for all values.
+        """
+        if sigma is None:
+            return self
+        return Noise(sigma) if self.assumed else replace(self, joint=sigma)
+
 
 @dataclass(frozen=True, eq=False)
 class Model:

@@ -14,6 +14,7 @@ import chains
 import numpy as np
 import pytest
 from distant_poses import distant_poses
+from test_redundant_loops import hinged_wrist
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli.main import main
@@ -48,6 +49,14 @@ ROBOTS = [
     *(pytest.param(name, marks=pytest.mark.wide) for name in ("stewart42", "argos27", "chain")),
     pytest.param("linear_delta", marks=pytest.mark.wide),
 ]
+
+
+def test_a_robot_whose_controlled_turn_the_code_would_lose_is_refused():
+    """A palletizer turns about z only, so that nothing has to be restored."""
+    wrist = hinged_wrist(16, controls=["x", "y", "rz"])
+    with pytest.raises(ModelError, match=r"two others by up to .* rad: this"):
+        files(wrist)
+    assert "palletizer.c" in files(new_model("palletizer"), poses=2)
 
 
 @cache

@@ -40,6 +40,10 @@ def test_positions_in_mm_are_named_only_if_nothing_else_is_wrong(session):
     assert doubt(exchanged(in_millimetres(session))) == ""
 
 
+def test_positions_in_inches_are_named(session):
+    assert "positions are in inches, not mm" in doubt(replace(session, r=session.r / 25.4))
+
+
 def test_other_columns_are_named_only_if_they_fit_better_than_what_is_known(session):
     """An error of the robot that explains the samples better than exchanged columns do is likelier
     than those, which leave 0.07 mm before a fit."""

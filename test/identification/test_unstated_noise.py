@@ -127,6 +127,19 @@ def test_stated_noise_stays_and_only_the_rest_is_estimated(session):
     assert found.observations.noise_from == {"joint": "model file", "pose": ESTIMATED}
 
 
+@pytest.mark.parametrize("before", [Noise(position=6e-6), Noise(1e-5, 6e-6, assumed=True)])
+def test_noise_that_an_option_stated_is_kept_in_the_model_file(session, before):
+    data = delta_dataset(session)
+    model = replace(new_model("delta24"), noise=before)
+    found = parse_model(dump_model(fit(model, data, joint_sigma=2e-5, hold_out=0).model))
+    assert found.noise == Noise(2e-5, None if before.assumed else 6e-6)
+    again = observe(found, data)
+    assert again.noise_from["joint"] == "model file"
+    first = observe(model, data, 2e-5)
+    assert again.noise_from["pose"] == first.noise_from["pose"] or before.assumed
+    np.testing.assert_array_equal(again.S[:, :3, :3], first.S[:, :3, :3])
+
+
 def test_few_samples_keep_the_ratio_of_guesses_and_say_so(session):
     model = replace(new_model("delta54"), noise=Noise(40e-6, 12e-6, 100e-6, assumed=True))
     few = delta_dataset(session).select(np.arange(9))

@@ -6,6 +6,7 @@ import pytest
 import virtual_shelf as vf
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.cli import main as cli
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.identification.fit import fit
 from parallel_cal.importing.controller_files import configured, samples
@@ -272,3 +273,90 @@ def test_an_export_says_by_how_much_each_chain_is_longer(tmp_path):
     ]
     done = export_into(model.with_values(np.array(values)), "maslow", [path])
     assert any("+2.00 (left) and -2.00 mm (right)" in words for words in done.remarks)
+
+
+def marks(folder, sent=1.0, measured=1.0, ini=INI):
+    """Return a table of marks in mm times a factor, and a configuration."""
+    (folder / "groundcontrol.ini").write_text(ini)
+    places = 0.9 * np.array([(1219, 609), (-1219, 609), (0, 0), (-1219, -609), (1219, -609)])
+    rows = np.hstack([places * sent, (places + [1.0, 0.5]) * measured])
+    head = "x,y,measured_x,measured_y"
+    np.savetxt(folder / "marks.csv", rows, delimiter=",", header=head, comments="")
+    return [folder / "marks.csv", folder / "groundcontrol.ini"]
+
+
+@pytest.mark.parametrize(
+    ("sent", "measured", "named"),
+    [
+        (1.0, 1.0, []),
+        (1.0, 0.3, []),  # a part of the sheet
+        (1 / 25.4, 1 / 25.4, ["sent places", "measured places"]),
+        (1.0, 1 / 25.4, ["measured places"]),
+        (1e-3, 1e-3, ["sent places", "measured places"]),
+    ],
+)
+def test_places_in_another_unit_than_the_sheet_are_named(sent, measured, named, tmp_path):
+    warnings = samples("maslow", marks(tmp_path, sent, measured)).warnings
+    unit = "m" if sent == 1e-3 else "inches"
+    assert [w for w in warnings if f"they fit if they are in {unit}, not mm" in w] == [*warnings]
+    assert [w.split(" are")[0] for w in warnings] == [f"the {name}" for name in named]
+
+
+def test_the_noise_of_a_chain_is_that_of_a_step_and_that_of_a_mark_is_stated(tmp_path):
+    """8113.73 steps on 63.5 mm are 7.8 um; a uniform error in them has 2.26 um."""
+    found = samples("maslow", marks(tmp_path), sigma=3e-4)
+    np.testing.assert_allclose(found.joint_sigma, 2.2593e-6, rtol=1e-4)
+    np.testing.assert_allclose(found.pose_cov[:, [0, 1], [0, 1]], 9e-8)
+    coarse = INI.replace("gearteeth = 10", "gearteeth = 10\nencodersteps = 811.373")
+    np.testing.assert_allclose(
+        samples("maslow", marks(tmp_path, ini=coarse)).joint_sigma, 2.2593e-5, rtol=1e-4
+    )
+
+
+def test_a_machine_in_inches_is_named(tmp_path):
+    inches = INI.replace("2978.4", "117.26").replace("2438.4", "96").replace("1219.2", "48")
+    files = marks(tmp_path, ini=inches.replace("463", "18.2"))
+    found = configured(files[1:]).remarks
+    assert any(
+        "motors, are 3.9 % of the usual sizes: they fit if they are in inches" in r for r in found
+    )
+    message = (
+        "48 mm: .*; the sent places are 22.9 times the sizes of the sheet: they fit if the sizes of"
+    )
+    with pytest.raises(ParallelCalError, match=message):
+        samples("maslow", files)
+
+
+@pytest.mark.wide
+def test_a_diagnosis_proposes_to_export_only_a_model_that_was_fitted(tmp_path, monkeypatch, capsys):
+    """It fits the model itself and writes nothing: the model that it was given has the numbers of
+    the file still. A sample that is far off is decided first."""
+    monkeypatch.chdir(tmp_path)
+    path = written(tmp_path, INI)
+    start = configured([path]).model
+    off = {"left.A_x": -9 * MM, "right.A_x": 7 * MM}
+    found = dict(zip(start.table.names, start.values, strict=True))
+    twin = vf.HangingSled({name: v + off.get(name, 0.0) for name, v in found.items()})
+    cut(tmp_path, chains(settings([path])), twin, 30, 1)
+
+    def run(*words):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([*words])
+        assert ended.value.code == 0
+        return [line.strip() for line in capsys.readouterr().out.splitlines()]
+
+    fitting = "parallel-cal fit maslow.yaml cuts.json -o better.yaml"
+    run("new", "--from", path.name, "-o", "maslow.yaml")
+    run("import", "maslow", "cuts.csv", path.name, "-o", "cuts.json")
+    assert run("diagnose", "maslow.yaml", "cuts.json")[-1] == fitting
+    run(*fitting.split()[1:])
+    export = "parallel-cal export better.yaml --to maslow --into groundcontrol.ini"
+    assert run("diagnose", "better.yaml", "cuts.json")[-1].endswith(export)
+    rows = (tmp_path / "cuts.csv").read_text().splitlines()
+    x, y, at_x, at_y = rows[5].split(",")
+    rows[5] = f"{x},{y},{float(at_x) + 60},{at_y}"
+    (tmp_path / "cuts.csv").write_text("\n".join(rows))
+    run("import", "maslow", "cuts.csv", path.name, "-o", "cuts.json")
+    shown = run("diagnose", "better.yaml", "cuts.json")
+    assert "parallel-cal fit better.yaml cuts.json --data exclude=4 -o refitted.yaml" in shown
+    assert not any("parallel-cal export" in line for line in shown)

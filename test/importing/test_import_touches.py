@@ -66,6 +66,16 @@ def test_touches_at_one_place_are_replicates_however_far_their_heights_are_apart
     assert found.pose_id[0] == found.pose_id[2] != found.pose_id[1]
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1, ""), (1 / 25.4, "inches"), (1e-3, "m")])
+def test_touches_in_another_unit_than_the_machine_are_named(tmp_path, factor, unit):
+    rows = [(40 * factor, 20 * factor, -275), (-30 * factor, 0, -275)]
+    found = samples("touches", written(tmp_path, rows)).warnings
+    assert [w for w in found if w.endswith(f"they fit if they are in {unit}, not mm")] == (
+        [w for w in found if "x and y of the touches are" in w]
+    )
+    assert any("touches are" in w for w in found) == bool(unit)
+
+
 BROKEN = {
     "no table": ({}, slice(1, 2), "expected tables (.csv) with the columns X, Y and Z"),
     "no configuration": ({}, slice(0, 1), "and the configuration that was active then"),

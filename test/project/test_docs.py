@@ -21,14 +21,17 @@ from pathlib import Path
 import fleets
 import numpy as np
 import pytest
+import test_import_maslow as maslow
 import virtual_firmware
 import virtual_fleet
 import virtual_printer
+import virtual_shelf
 
 import parallel_cal as pc
 from bench.truth import age
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.cli import main as cli
+from parallel_cal.importing.controller_files import configured
 
 ROOT = Path(__file__).parents[2]
 JUDGING = "read_a_fit read_a_diagnosis judge_your_calibration own_effect plan_measurements".split()
@@ -150,7 +153,19 @@ def test_the_printers_page_shows_what_its_commands_print(tmp_path):
 def test_the_page_on_export_shows_what_its_commands_print(tmp_path):
     for name in ("bags", "config"):
         (tmp_path / name).symlink_to(ROOT / name)
-    assert in_order("export.md", tmp_path) == 3
+    write_marks_of_a_maslow(tmp_path)
+    assert in_order("export.md", tmp_path) == 8
+
+
+def write_marks_of_a_maslow(folder):
+    """Marks that a tape measured: motors 25 mm further apart and not level, longer chains."""
+    path = maslow.written(folder, maslow.INI)
+    start = configured([path]).model
+    wrong = {"left.A_x": -14, "right.A_x": 11, "left.A_y": 6, "right.A_y": 12}
+    wrong |= {"left.L0": 4, "right.L0": 4}
+    found = dict(zip(start.table.names, start.values, strict=True))
+    twin = virtual_shelf.HangingSled({n: v + 1e-3 * wrong.get(n, 0) for n, v in found.items()})
+    maslow.cut(folder, maslow.chains(maslow.settings([path])), twin, 40, 1)
 
 
 @pytest.mark.wide

@@ -17,8 +17,10 @@ import numpy as np
 from parallel_cal import __version__
 from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.exporting.targets._vectors import vectors
 from parallel_cal.kinematics.branch import MAX_PATH_STEPS, MIN_STEP_FRACTION, PATH_GROWTH
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.newton import NewtonFunctions, newton_functions
 from parallel_cal.kinematics.rows import LIMIT_ROUNDING
 from parallel_cal.kinematics.solutions import (
@@ -27,9 +29,10 @@ from parallel_cal.kinematics.solutions import (
     MIN_REGULAR_SINGULAR_VALUE,
     SUSPECT_PIVOT,
 )
+from parallel_cal.kinematics.split_turns import splits_turns
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.modelfile import model_hash
-from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.mechanism import Mechanism, poses_in_workspace
 from parallel_cal.model.model import Model
 
 PROBLEMS = ("direct", "inverse")
@@ -58,6 +61,13 @@ HELPERS = {
     "casadi_fmax": "fmax",
     "casadi_fmin": "fmin",
 }
+SPLIT_TURNS = (
+    "{} controls one coordinate of the orientation and turns about the two others by up to {:.2g} "
+    "rad: this code does not restore the controlled one after each solution, as Python does, and "
+    "would leave it by some 1e-4 rad. State all three as `controls` of the mechanism"
+)
+MAX_TURN_RAD = 1e-6  # squared, it is below the rounding of a solution
+CHECKED_POSES = 50
 MAKEFILE = """# Checks @robot@.c against @robot@_vectors.csv, Python's answers.
 CFLAGS = -std=c99 -O2 -Wall -Wextra -Wconversion -Wsign-conversion -Wpedantic -Werror
 
@@ -83,6 +93,13 @@ def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
         raise ModelError(f"name={robot}: expected a valid C identifier")
     if not 2 <= poses <= MAX_POSES:
         raise ModelError(f"poses={poses}: expected 2 to {MAX_POSES}")
+    if splits_turns(m := model.mechanism):
+        given = poses_in_workspace(m, CHECKED_POSES, np.random.default_rng(0))
+        found = Kinematics(model).inverse(*given)
+        turned = rotation_vector(found.rotation[found.solved]) - m.home.rotation_vector
+        most = np.abs(turned[:, [i - 3 for i in m.parasitic if i >= 3]]).max(initial=0.0)
+        if most > MAX_TURN_RAD:
+            raise ModelError(SPLIT_TURNS.format(m.name, most))
     words = template_words(model, robot)
     templates = {
         f"{robot}.h": read_template("robot.h"),

@@ -131,12 +131,14 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     stated = settings(paths)
     machine = kinematics(stated)
     if isinstance(machine, PlotterLines):
-        return ConfiguredRobot(machine.model(), (LEFT_IS_REVERSED,))
+        return ConfiguredRobot(machine.model(), (LEFT_IS_REVERSED, *stated.describe_unused()))
     if isinstance(machine, MaslowBelts):
-        return ConfiguredRobot(machine.model(), (IN_THE_PLANE.format(BELTS),))
+        remarks = [IN_THE_PLANE.format(BELTS), *stated.describe_unused()]
+        return ConfiguredRobot(machine.model(), tuple(remarks))
     remarks = [deltas.NOT_STATED, REVERSED]
     if any(stated.number(field, "mm", 0.0) for field in HOMED_AT[:2]):
         remarks.append(f"x and y of the model count from the motors' axis, without {HOMED_AT[0]}")
+    remarks += stated.describe_unused()
     return ConfiguredRobot(new_model(machine.mechanism()), tuple(remarks), machine)
 
 

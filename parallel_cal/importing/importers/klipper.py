@@ -75,7 +75,7 @@ def samples(
     """
     stated = settings(paths)
     machine, step = delta(stated), _steps(stated)
-    found, heights, warnings = [], [], stated.describe_unused()
+    found, heights, warnings = [], [], list[str]()
     for name, limit in MAX_HEIGHTS_MM.items():
         if (
             name == "manual_height"
@@ -109,7 +109,13 @@ def samples(
     q = np.array(found)
     visits = find_visits(machine, q, step)
     touched = make_joint_samples(
-        q, np.array(heights), paths, step, visits, warnings=warnings, printed=printed
+        q,
+        np.array(heights),
+        paths,
+        step,
+        visits,
+        warnings=[*stated.describe_unused(), *warnings],
+        printed=printed,
     )
     return replace(touched, configuration=numbers)
 
@@ -179,7 +185,8 @@ def _read_parts(stated: Settings, warnings: list[str]) -> _Parts | None:
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer as configured."""
     stated = settings(paths)
-    printer = kinematics(stated)
+    printer, probe = kinematics(stated), _probe(stated)
+    parts = _read_parts(stated, []) if isinstance(printer, (Towers, Shoulders)) else None
     remarks = [*_describe_missing_steps(stated, printer), *stated.describe_unused()]
     if isinstance(printer, DeltesianArms):
         return ConfiguredRobot(new_model(printer.mechanism()), (LEANS_NOT_STATED, *remarks))
@@ -191,8 +198,8 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         return ConfiguredRobot(lines, (*printer.describe_mirror(), *remarks))
     if isinstance(printer, Shoulders):
         deltas.check_reach(printer, stated, "[printer] shoulder_height")
-    found = deltas.make_configured_robot(printer, _probe(stated), remarks=remarks)
-    if (parts := _read_parts(stated, [])) is None:
+    found = deltas.make_configured_robot(printer, probe, remarks=remarks)
+    if parts is None:
         return found
     sensor = load_sensor("distances", directions=parts.directions)
     return replace(found, model=found.model.with_sensors((*found.model.sensors, sensor)))

@@ -87,7 +87,7 @@ def samples(
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the machine that the pins of LinuxCNC's own kinematics describe."""
     stated = settings(paths)
-    remarks = stated.describe_unused()
+    remarks = list[str]()
     if UNIT not in stated:
         remarks.append("no LINEAR_UNITS (the .ini file): lengths are assumed to be in mm")
     machine = kinematics(stated)
@@ -95,14 +95,15 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if isinstance(machine, Towers):
         rails, more = with_rails(machine, stated, unit)
         bed = rails.box.low[2] if rails.box else 0.0
-        found = deltas.make_configured_robot(rails, NO_PROBE, remarks=[*remarks, *more], bed=bed)
+        remarks += [*more, *stated.describe_unused()]
+        found = deltas.make_configured_robot(rails, NO_PROBE, remarks=remarks, bed=bed)
         if not bed:
             return found
         anywhere = {"probe.plate.z": float(np.ptp(found.model.mechanism.joint_limits))}
         return replace(found, model=replace(found.model, tolerances=anywhere))
     if isinstance(machine, Shoulders):
         arms, more = with_arm_travel(machine, stated, unit, _short_shins(stated))
-        remarks += [*more, deltas.ANGLES_UP.format("LinuxCNC")]
+        remarks += [*more, deltas.ANGLES_UP.format("LinuxCNC"), *stated.describe_unused()]
         return ConfiguredRobot(new_model(arms.mechanism()), (deltas.NOT_STATED, *remarks), arms)
     if stated.number(f"{HEXAPOD}.screw-lead", "a length", 0.0):
         remarks.append(f"{HEXAPOD}.screw-lead: the correction of the struts' lengths is not used")
@@ -125,7 +126,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         remarks.append(NO_HOME.format(HOME.format(0), at))
     if ((at_home < limits[:, 0]) | (at_home > limits[:, 1])).any():
         remarks.append(BEYOND_LIMITS)
-    return ConfiguredRobot(new_model(mechanism), tuple(remarks))
+    return ConfiguredRobot(new_model(mechanism), (*remarks, *stated.describe_unused()))
 
 
 def length_unit(stated: Settings) -> float:

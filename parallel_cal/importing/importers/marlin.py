@@ -128,7 +128,9 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer that the last settings in a log, or a Configuration.h, describe."""
     stated = settings(paths)
     remarks = stated.remarks if "M665 R" in stated else ()  # not of M502, if Configuration.h counts
-    return deltas.make_configured_robot(towers(stated), tip(stated), remarks=remarks)
+    printer, probe = towers(stated), tip(stated)
+    remarks = [*remarks, *stated.describe_misspelt()]
+    return deltas.make_configured_robot(printer, probe, remarks=remarks)
 
 
 def settings(paths: Sequence[Path]) -> Settings:
@@ -140,9 +142,10 @@ def settings(paths: Sequence[Path]) -> Settings:
     for path in headers:
         for place, line in read_lines(path):
             found = DEFINITION.match(line)
-            if not found or found[1] not in (*DEFINITIONS, RADIUS_TRIM, STEPS_DEFINED):
+            if not found:
                 continue
-            if found[1] in texts and found[1].startswith(("DELTA_", "DEFAULT_")):
+            used = found[1] in (*DEFINITIONS, RADIUS_TRIM, STEPS_DEFINED)
+            if used and found[1] in texts and found[1].startswith(("DELTA_", "DEFAULT_")):
                 raise place.error(
                     found[1], found[2], "one definition of it; delete those that #if excludes"
                 )

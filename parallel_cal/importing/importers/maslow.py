@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from parallel_cal.base.units import LENGTHS, MM
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines, sha256
 from parallel_cal.importing.sled_chains import SAG_UNIT, Quadrilateral, Triangular
+from parallel_cal.importing.unit_doubts import doubt_unit
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
@@ -74,12 +75,15 @@ FIELDS = {
     "below": Field(f"{GENERAL}sledcg", "$6", 79.0),
     "kind": Field(f"{COMPUTED}kinematicstypecomputed", "$7", 1.0),
     "rotation": Field(f"{ADVANCED}rotationradius", "$8", 100.0),
+    "steps": Field(f"{ADVANCED}encodersteps", "$12", 8113.73),
     "turn": Field(f"{COMPUTED}distperrot", "$13", 63.5),
     "sag": Field(f"{ADVANCED}chainsagcorrection", "$37", 0.0),
     "over": Field(f"{COMPUTED}chainoversprocketcomputed", "$38", 1.0),
     "left": Field(f"{ADVANCED}leftchaintolerance", "$40", 0.0),
     "right": Field(f"{ADVANCED}rightchaintolerance", "$41", 0.0),
 }
+SPACING = ("the sizes of the machine, by the distance of its motors,", "the usual sizes")
+SPACINGS = (0.5, 2.0)  # from that of a Maslow
 RING_SIZES, MOUNT_SIZES = ("rotation",), ("width", "above", "below")
 FIRMWARE_ROTATION = 250.0  # mm, the firmware's own default
 WORDS = {  # that GroundControl keeps beside the number which it computed from them
@@ -187,14 +191,17 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         remarks.append(f"not stated, so that the default counts: {', '.join(lacking)}")
     if not ring:
         remarks.append(DOUBLE_SINE)
+    spacing = read_number(stated, "spacing") / FIELDS["spacing"].default
+    remarks += doubt_unit(spacing, *SPACING, SPACINGS)
     if abs(machine.radius - FIRMWARE_RADIUS) > 0.02 * MM:
         remarks.append(RESTARTED.format(machine.radius / MM))
+    remarks += stated.describe_unused()
     return ConfiguredRobot(machine.model(), tuple(remarks), None)
 
 
 def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
     """Read tables of places, with the settings by which the firmware moved there; `sigma` (m) is
-    the noise of a measured coordinate.
+    the noise of a measured coordinate. The noise of a chain is that of a step of its encoder.
 
     Coordinates are expected to count from the middle of the sheet along its edges, as those that
     are sent. If they do not, a fit finds where they count from.
@@ -209,18 +216,26 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
     sent, measured = (
         np.concatenate(each) for each in zip(*(_places(path, edge) for path in tables), strict=True)
     )
+    warnings = [
+        words
+        for places, name in ((sent, "sent"), (measured, "measured"))
+        for words in _doubt_places(places, edge, f"the {name} places")
+    ]
     q = machine.joints(sent)
+    step = read_number(stated, "turn") * MM / read_number(stated, "steps", "steps a turn", 1.0)
     covariance = None if sigma is None else np.diag([sigma**2] * 3 + [np.nan] * 3)
-    return Dataset.from_arrays(
+    found = Dataset.from_arrays(
         ["left", "right"],
         q,
         measured,
         measured=np.array([True, True, False, False, False, False]),
         pose_cov=covariance,
+        joint_sigma=np.full(2, step / 12**0.5),
         frame="base",
         source=", ".join(map(str, paths)),
         sha256=sha256(paths),
     )
+    return replace(found, warnings=(*found.warnings, *warnings, *stated.describe_unused()))
 
 
 def _places(path: Path, edge: Array) -> tuple[Array, Array]:
@@ -240,7 +255,14 @@ def _places(path: Path, edge: Array) -> tuple[Array, Array]:
         raise place.error(
             columns[axis],
             f"{numbers[k, axis] / MM:g} mm",
-            f"a place on the sheet, within {edge[axis] / MM:g} mm: the firmware stops at its edge",
+            f"a place on the sheet, within {edge[axis] / MM:g} mm: the firmware stops at its edge"
+            + "".join(f"; {words}" for words in _doubt_places(numbers, edge, "the sent places")),
         )
     heights = np.zeros((len(numbers), 1))
     return np.hstack([numbers[:, :2], heights]), np.hstack([numbers[:, 2:], heights])
+
+
+def _doubt_places(places: Array, edge: Array, what: str) -> list[str]:
+    """Name the unit with which places (N, 2 or more) m fill a sheet with edges (2,) m."""
+    share = float((np.abs(places[:, :2]) / edge).max(initial=0.0))
+    return doubt_unit(share, what, "the sizes of the sheet")

@@ -88,7 +88,8 @@ def recognizes(path: Path) -> bool:
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer as configured."""
     stated = settings(paths)
-    return deltas.make_configured_robot(towers(stated), np.zeros(3), remarks=stated.remarks)
+    printer = towers(stated)
+    return deltas.make_configured_robot(printer, np.zeros(3), remarks=stated.describe_unused())
 
 
 def settings(paths: Sequence[Path]) -> Settings:

@@ -76,14 +76,6 @@ COMMANDS = {
 HEIGHT = "M665 Z"  # sets the homing position of axis z of a linear Delta
 LINE = re.compile(r"\s*([^\s#]+)[ \t]+([^\s#]+)")
 ENDSTOP = re.compile(r"endstop\.(\w+)\.(axis|homing_direction|homing_position)")
-KEYS = {
-    SOLUTION,
-    MIRROR,
-    REAL_SCARA,
-    *HOMING.values(),
-    *(key for keys in COMMANDS.values() for key in keys),
-}
-KEYS |= {f"{axis}_{key}" for axis in AXES for key in ("min", "max", "homing_direction")}
 LEVER_ASSUMED = (
     "the readings left and right are psi and theta, Smoothieware's beta and alpha. The crank that "
     "is parallel to the forearm has no length in the firmware: a fifth of arm1_length is assumed"
@@ -120,12 +112,12 @@ def settings(paths: Sequence[Path]) -> Settings:
             if COMMAND.match(line):
                 parse_settings_line(texts, place, line, CODES)
             elif found := LINE.match(line):
-                if found[1] in KEYS or ENDSTOP.fullmatch(found[1]):
-                    texts[found[1]] = (found[2], place)
-                elif found[1] in OLD_TRIMS:
+                if found[1] in OLD_TRIMS:
                     remarks.append(OLD_TRIM.format(place.path, place.line, found[1]))
                 elif found[1] == "include":
                     include(place, found[2], path, opened)
+                else:
+                    texts[found[1]] = (found[2], place)
 
     def include(place: SourceLine, name: str, path: Path, opened: tuple[Path, ...]) -> None:
         inner = path.with_name(Path(name).name)  # on the card both lie in one folder
