@@ -14,8 +14,8 @@ from parallel_cal.base.progress import Progress
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.causes.knocks import are_few
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
+from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.diagnosis.device import find_doubtful_effects
-from parallel_cal.diagnosis.explanation import Causes
 from parallel_cal.diagnosis.patterns import (
     explain_exclusion,
     find_innocent_samples,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.diagnosis.explanation import Causes, Doubt, find_swaps
+from parallel_cal.diagnosis.causes import Causes, Doubt, find_swaps
 from parallel_cal.diagnosis.next_measurement import DecidingPoses
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.identification.observations import conditions

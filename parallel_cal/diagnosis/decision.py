@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
-from parallel_cal.diagnosis.explanation import Doubt
+from parallel_cal.diagnosis.causes import Doubt
 from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.separate import (
     Allowed,

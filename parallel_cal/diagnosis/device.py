@@ -16,7 +16,7 @@ import numpy as np
 
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis.catalogue import Candidate
-from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.diagnosis.thresholds import CREDIBLE
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import EFFECT, FIELD, LAW, Block, Stack

@@ -11,13 +11,13 @@ import numpy as np
 
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate
+from parallel_cal.diagnosis.causes import Doubt
 from parallel_cal.diagnosis.decision import (
     SURELY_DECIDED,
     Decision,
     Undecided,
     plan_decision,
 )
-from parallel_cal.diagnosis.explanation import Doubt
 from parallel_cal.diagnosis.region import TOUCH_A_BLOCK, is_touched_at_one_height
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.separate import (

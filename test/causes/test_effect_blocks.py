@@ -9,7 +9,7 @@ import parallel_cal as pc
 from bench.truth import new_effects
 from parallel_cal.causes.effects import list_effect_blocks, scan_settings
 from parallel_cal.diagnosis.addition import see
-from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_effect

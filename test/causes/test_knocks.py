@@ -8,7 +8,7 @@ from virtual_findings import KINDS
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.causes.knocks import are_few, compute_falls, find_sideless_samples
 from parallel_cal.diagnosis.addition import see
-from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.posterior.evidence import SIZES

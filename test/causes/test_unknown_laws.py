@@ -10,7 +10,7 @@ import virtual_findings as vf
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.causes.unknown_laws import DRIFT_LENGTHS, list_unknown_blocks
 from parallel_cal.diagnosis.addition import see
-from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model

@@ -12,8 +12,8 @@ from scipy import stats
 
 from bench.truth import coverage
 from parallel_cal.diagnosis import verdict
+from parallel_cal.diagnosis.causes import _find_noise
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.explanation import _find_noise
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.remaining import RemainingCondition

@@ -5,8 +5,9 @@ import pytest
 from datasets import measured
 
 from parallel_cal.causes.effects import list_effects_to_test
+from parallel_cal.diagnosis import causes as linear
 from parallel_cal.diagnosis import explanation
-from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.identification.fit import fit_unjudged
 from parallel_cal.identification.options import FitOptions
@@ -44,12 +45,12 @@ def test_a_sum_about_a_fit_leaves_what_the_fit_leaves(search, base):
     assert wrong[1] < 0.1
 
 
-@pytest.mark.parametrize("allowed", [explanation.MAX_LINEAR_ERROR, np.inf])
+@pytest.mark.parametrize("allowed", [linear.MAX_LINEAR_ERROR, np.inf])
 def test_what_imitates_the_curvature_of_a_large_effect_is_not_named(
     search, base, allowed, monkeypatch
 ):
     """Also where the linear problem agrees with the fit of both effects, as it may by chance."""
-    monkeypatch.setattr(explanation, "MAX_LINEAR_ERROR", allowed)
+    monkeypatch.setattr(linear, "MAX_LINEAR_ERROR", allowed)
     names = list_effects_to_test(base.fitted.model)
     causes = Causes.of(base.scene, names)
     _, described, chosen = causes.explain()

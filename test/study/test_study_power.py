@@ -13,8 +13,8 @@ from datasets import measured as seen
 from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.explanation import Causes
 from parallel_cal.fleet.jobs import FleetError
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import dump_model, write_model
