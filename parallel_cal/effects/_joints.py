@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
+from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -22,9 +23,16 @@ def find_revolute_joints(mechanism: Mechanism) -> list[str]:
 
 
 def find_prismatic_joints(mechanism: Mechanism) -> list[str]:
-    """Return the prismatic joints, whatever drives them."""
-    joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
-    return [joint for joint, unit in joints if unit == "m"]
+    """Return the prismatic joints that are no lines on spools: by a stated drive, and without one
+    those of a robot that no lines hold."""
+    drives = mechanism.drives or (None,) * len(mechanism.joints)
+    joints = zip(mechanism.joints, mechanism.joint_units, drives, strict=True)
+    by_default = not isinstance(mechanism, Cable)
+    return [
+        joint
+        for joint, unit, drive in joints
+        if unit == "m" and (drive.kind != "spool" if drive else by_default)
+    ]
 
 
 def explain_how_to_state_spool(mechanism: Mechanism) -> str:

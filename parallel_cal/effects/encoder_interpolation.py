@@ -22,10 +22,10 @@ class EncoderInterpolation(Effect):
     """q_ideal = q + sum over k = 1, 2 of sin_k * sin(2 pi k q / period) + cos_k * cos(2 pi k q /
     period) (m).
 
-    For every prismatic joint. All have the same `period` (m): state it (the pole pitch of the scale
-    or of the motor, the pitch of the belt), or let `scan` find it. Offsets of an encoder's two
-    signals cause an error with one period per `period`. Unequal amplitudes and a wrong phase
-    between the signals cause one with two. For revolute joints,
+    For every prismatic joint that is no line on a spool. All have the same `period` (m): state it
+    (the pole pitch of the scale or of the motor, the pitch of the belt), or let `scan` find it.
+    Offsets of an encoder's two signals cause an error with one period per `period`. Unequal
+    amplitudes and a wrong phase between the signals cause one with two. For revolute joints,
     `gear_transmission_error` has the same form, with the period 2 pi / ratio. An error once per
     turn of a screw is `screw_pitch_error`.
     """
@@ -61,6 +61,8 @@ class EncoderInterpolation(Effect):
     def applies(self, mechanism: Mechanism) -> str:
         if find_prismatic_joints(mechanism):
             return ""
+        if "m" in mechanism.joint_units:
+            return "its joints are lines on spools, which have no scale, magnets or teeth"
         return "it has no prismatic joint: gear_transmission_error describes revolute ones"
 
     def scan(

@@ -342,6 +342,18 @@ def test_device_effects_say_where_they_make_no_sense(effect, mechanism, reason):
     assert reason in load_effect(effect).applies(load_mechanism(mechanism))
 
 
+def test_a_line_on_a_spool_has_no_scale():
+    """A scan of its whole length for the pitch of one took most of a diagnosis, and found it."""
+    hexapod = load_mechanism("stewart42")
+    scale = load_effect("encoder_interpolation")
+    assert scale.applies(hexapod) == ""
+    hexapod.drives = (Drive("spool", radius=0.04),) * 6
+    assert "its joints are lines on spools" in scale.applies(hexapod)
+    hexapod.drives = (Drive("belt", per_rev=0.04), *hexapod.drives[1:])
+    names = [p.name for p in scale.parameters(hexapod)]
+    assert names[1:] == [f"leg1.{part}" for part in ("sin1", "cos1", "sin2", "cos2")]
+
+
 # --------------------------------------------------------------------------- found again
 
 
