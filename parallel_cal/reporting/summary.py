@@ -124,17 +124,17 @@ def _state_missing(
     judged: FitResult | Comparison, residual: Estimate | Scene, errors: Summary, noise: Summary
 ) -> Line:
     """Say whether the residual is larger than the noise, and by how much."""
-    high, chi2 = chi2_band(residual.dof)[1], residual.chi2_per_dof
+    high, chi2, limit = chi2_band(residual.dof)[1], residual.chi2_per_dof, ""
     if judged.observations.noise_assumed:
         level = _judge_by_revisits(judged)
         if level.variance is None:
             few = f" {MIN_DOF} times" if level.pure_error.dof else ""
             why = f"the noise is not stated, and no poses were visited again{few}"
             return Line("missing:", f"not known, because {why}")
-        high = level.band(residual.dof)[1]
+        high, limit = level.band(residual.dof)[1], ", as far as the revisits tell"
     if chi2 > high:
         return Line("missing:", _describe_excess(judged.model, errors, noise), ODD)
-    return Line("missing:", "nothing larger than the noise")
+    return Line("missing:", f"nothing larger than the noise{limit}")
 
 
 def _judge_by_revisits(judged: FitResult | Comparison) -> NoiseLevel:

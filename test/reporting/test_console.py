@@ -6,7 +6,9 @@ import re
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from datasets import measured
 
 import parallel_cal as pc
 from parallel_cal.cli.calibration import command_line, write_program
@@ -206,6 +208,16 @@ def test_a_noise_floor_above_the_error_is_named_as_that_of_the_stated_noise(fact
     lines = {line.label: line.text for line in summarize(pc.fit(model, data))}
     assert (" by the stated noise; that of the samples is smaller" in lines["noise:"]) == named
     assert lines["missing:"] == "nothing larger than the noise"
+
+
+def test_noise_that_only_revisits_show_bounds_what_may_be_missing():
+    """With 12 degrees of freedom, an error of twice the noise may be chance; `diagnose`, which
+    looks for its pattern, may name its cause all the same."""
+    data, model = measured(0, n_poses=40, n_replicates=20), new_model("delta54")
+    unknown = np.full((len(data), 6, 6), np.nan)
+    data = dataclasses.replace(data, pose_cov=unknown, joint_sigma=None)
+    lines = {line.label: line.text for line in summarize(pc.fit(model, data))}
+    assert lines["missing:"] == "nothing larger than the noise, as far as the revisits tell"
 
 
 @pytest.mark.parametrize(
