@@ -14,7 +14,6 @@ import numpy as np
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.fit import FitResult
-from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
 from parallel_cal.identification.recheck import Recheck
@@ -128,7 +127,7 @@ def acceptance(
     verb = _describe_fall(bool(rise or risen), falls, clearly)
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
     said = "" if drift is None else f"{drift.warnings[0]}; "
-    advice = _advise(new.given) if old is None and not foreign else ""
+    advice = _advise(new) if old is None and not foreign else ""
     if stuck and verb == "falls":
         advice = UNCHANGED
     return Acceptance(
@@ -164,8 +163,12 @@ def _describe_fall(rises: bool, falls: bool, clearly: bool) -> str:
     return "falls" if clearly else "falls by no more than its own uncertainty"
 
 
-def _advise(given: GivenModel) -> str:
-    """Say what the earlier fits of a given model mean for a comparison with it, and what to do."""
+def _advise(new: FitResult) -> str:
+    """Say what samples that contradict all others, or the earlier fits of the given model, mean for
+    a comparison with it, and what to do."""
+    if new.outliers is not None:
+        return f". S{new.outliers.description[1:]}"
+    given = new.given
     if given.fits_of_these_samples:
         return f"; {IN_SAMPLE}"
     earlier = dict.fromkeys(str(entry["dataset"].get("source")) for entry in given.earlier_fits)

@@ -164,7 +164,7 @@ def fitted(
         # them proves nothing, and that of the same fit to the present ones is the new one.
         judged = replace(judged, against="")
     has_prior = how.prior or how.update or result.given.fits_of_these_samples
-    may_help = judged.judged and not (has_prior or result.implausible)
+    may_help = judged.judged and not (has_prior or result.implausible or result.outliers)
     found = _check_proven(judged, force, PRIORS if may_help else "")
     return _step("fit", result, found, effect=added or None)
 

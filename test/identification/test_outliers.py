@@ -106,6 +106,14 @@ def test_a_refused_geometry_is_put_down_to_them():
     assert "sample 51 (213 sigmas" in found.verdict.text
 
 
+def test_a_fit_that_one_sample_spoils_is_refused_for_that_sample():
+    """Neither another geometry nor the tolerances of the drawing help."""
+    with pytest.raises(FitError, match=r"held-out poses .*\. Sample 20 .* contradicts all") as e:
+        fitted(DELTA, moved(measured(0, n_poses=60), {20: (0.2, 0, 0)}))
+    assert "exclude=20" in str(e.value)
+    assert "prior" not in str(e.value)
+
+
 def test_wrong_readings_of_an_arm_in_a_trackers_frame_are_found():
     session = va.session(va.arm("ur5", 1), 80, 3)
     q = session.q.copy()
