@@ -117,7 +117,7 @@ class GivenModel:
         larger = self.start
         for name, settings in effects:
             larger = larger.with_effect(name, settings)
-        return prepared_for_fit(larger, self.registration, self.dataset, how, once=True)[0]
+        return prepared_for_fit(larger, self.registration, self.dataset, how)[0]
 
     def with_dataset(self, dataset: Dataset) -> GivenModel:
         """Return this model, judged by some of its samples, or by all with other warnings."""

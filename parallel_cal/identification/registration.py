@@ -223,11 +223,7 @@ def is_registrable(model: Model, there: DevicePoses | None) -> bool:
 
 
 def prepared_for_fit(
-    model: Model,
-    registration: Registration | None,
-    dataset: Dataset,
-    options: FitOptions,
-    once: bool = False,
+    model: Model, registration: Registration | None, dataset: Dataset, options: FitOptions
 ) -> tuple[Model, Registration | None]:
     """A registered model as the start of a fit: the frames are fitted together with the robot, and
     those of their parameters are free that are independent of the robot's.
@@ -235,8 +231,7 @@ def prepared_for_fit(
     A model that was not registered, and has no sensor that shows poses, is unchanged. A model that
     an earlier fit registered is unchanged, too, unless other parameters of the robot are free now:
     if one that was free is fixed, the frame must be able to move in its place. If an effect is new,
-    the frame stands where the lack of this effect has moved it. With `once`, a single step is made:
-    the robot makes up for what a frame that depends on its parameters is off.
+    the frame stands where the lack of this effect has moved it.
 
     Coordinates of a frame that no pose of the robot shows are held. A tilt of the plane in which a
     robot moves only makes it smaller, by the square of the angle: a fit from 0 does not see it, and
@@ -255,7 +250,7 @@ def prepared_for_fit(
             return model, None
         freed = np.asarray(model.fixed) & ~there.find_free(model)
         model, told = replace(model, fixed=freed), there.tells_target
-    settled = _fit_frames(model, observations, options, told, once)
+    settled = _fit_frames(model, observations, options, told)
     return settled, registration and replace(registration, **_state_frames(settled))
 
 
@@ -503,9 +498,7 @@ def _placements(model: Model) -> Array:
     return _numbers(model) | model.table.matching(f"{name}.{part}" for name, part in parts if part)
 
 
-def _fit_frames(
-    model: Model, observations: Observations, options: FitOptions, told: bool, once: bool
-) -> Model:
+def _fit_frames(model: Model, observations: Observations, options: FitOptions, told: bool) -> Model:
     """Fit the frames with the robot nearest to nominal; fix those of their parameters that depend
     on the free parameters of the robot. A target whose place the samples have not `told` stays
     where it is assumed: it moves only in the fit of the robot."""
@@ -524,7 +517,7 @@ def _fit_frames(
     # robot: a tolerance of this origin would tilt {B} away from the drawing.
     frame = np.array([name.startswith(FRAME) for name in model.table.names])
     frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
-    found = _fit_beside_robot(model, observations, settled, frame, once)
+    found = _fit_beside_robot(model, observations, settled, frame)
     views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
     if _device(model) is not None:
         model = _with_frames(model, _turn_target(found, observations))
@@ -552,10 +545,10 @@ def _fit_frames(
 
 
 def _fit_beside_robot(
-    model: Model, observations: Observations, free: Array, unknown: Array, once: bool = False
+    model: Model, observations: Observations, free: Array, unknown: Array
 ) -> Model:
-    """Fit the `free` parameters, or make a single step (`once`). The tolerances of all are their
-    prior, but nothing is known of those that are `unknown` (mask).
+    """Fit the `free` parameters. The tolerances of all are their prior, but nothing is known of
+    those that are `unknown` (mask).
 
     Effects may be as large as the largest that a diagnosis weighs. If they were held to their usual
     sizes, frames would stand where they imitate the rest of a large one.
@@ -564,7 +557,7 @@ def _fit_beside_robot(
     sizes = np.where(effects, LARGEST_EFFECT, 1.0)
     sigma = np.where(unknown, UNKNOWN_TOLERANCES, sizes) * model.table.tolerance
     prior = Prior(model.table.nominal, np.diag(sigma**2))
-    found = implicit.estimate(model, observations, free, prior, once=once)
+    found = implicit.estimate(model, observations, free, prior)
     return model.with_values(found.values)
 
 
