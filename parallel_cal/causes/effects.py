@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import cached_property
 
 import numpy as np
@@ -71,9 +72,12 @@ def list_effect_blocks(
         each = [*each, *(one @ root for root in roots[1:] for one in each)]
         settings = len(roots) * settings
         if effect.alone and not known.get(name):
-            apart = own[:, stated.table.matching(f"{name}.{one}" for one in effect.alone)[new]]
-            each, settings, tried = [*each, each[0] @ apart], [*settings, {}], tried + 1
-            usual.append(apart)
+            patterns = [f"{name}.{one}" for one in effect.alone]
+            own_names = np.array(stated.table.names)[new]
+            apart = own[:, [any(fnmatchcase(n, one) for one in patterns) for n in own_names]]
+            if apart.size:  # not each machine has them: a drum has no pitch that changes
+                each, settings, tried = [*each, each[0] @ apart], [*settings, {}], tried + 1
+                usual.append(apart)
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual)
         if block is not None:
