@@ -256,13 +256,17 @@ def list_effects_to_test(
 ) -> list[str]:
     """Effects to test: the shelf's, or `only` these, and a user's own by Python path (`also`).
 
-    ModelError for one of the user's own whose file is wrong: asked for, it is not left out.
+    ModelError for one of the user's own whose file is wrong, and for one of `only` that does not
+    apply: asked for, it is not left out.
     """
-    own, has = list(also), {effect.name for effect in model.effects}
+    own, asked, has = list(also), list(only), {effect.name for effect in model.effects}
     for name in own:
         if name not in has and not load_effect(name).applies(model.mechanism):
             model.with_effect(name)
-    wanted = dict.fromkeys([*(list(only) or list_plugins("effects")), *own])
+    for name in asked:
+        if name not in has:
+            model.with_effect(name)
+    wanted = dict.fromkeys([*(asked or list_plugins("effects")), *own])
     return [name for name in wanted if name not in has]
 
 
