@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import cached_property
 
 import numpy as np
@@ -71,9 +72,12 @@ def list_effect_blocks(
         each = [*each, *(one @ root for root in roots[1:] for one in each)]
         settings = len(roots) * settings
         if effect.alone and not known.get(name):
-            apart = own[:, stated.table.matching(f"{name}.{one}" for one in effect.alone)[new]]
-            each, settings, tried = [*each, each[0] @ apart], [*settings, {}], tried + 1
-            usual.append(apart)
+            patterns = [f"{name}.{one}" for one in effect.alone]
+            own_names = np.array(stated.table.names)[new]
+            apart = own[:, [any(fnmatchcase(n, one) for one in patterns) for n in own_names]]
+            if apart.size:  # not each machine has them: a drum has no pitch that changes
+                each, settings, tried = [*each, each[0] @ apart], [*settings, {}], tried + 1
+                usual.append(apart)
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual)
         if block is not None:
@@ -252,13 +256,17 @@ def list_effects_to_test(
 ) -> list[str]:
     """Effects to test: the shelf's, or `only` these, and a user's own by Python path (`also`).
 
-    ModelError for one of the user's own whose file is wrong: asked for, it is not left out.
+    ModelError for one of the user's own whose file is wrong, and for one of `only` that does not
+    apply: asked for, it is not left out.
     """
-    own, has = list(also), {effect.name for effect in model.effects}
+    own, asked, has = list(also), list(only), {effect.name for effect in model.effects}
     for name in own:
         if name not in has and not load_effect(name).applies(model.mechanism):
             model.with_effect(name)
-    wanted = dict.fromkeys([*(list(only) or list_plugins("effects")), *own])
+    for name in asked:
+        if name not in has:
+            model.with_effect(name)
+    wanted = dict.fromkeys([*(asked or list_plugins("effects")), *own])
     return [name for name in wanted if name not in has]
 
 

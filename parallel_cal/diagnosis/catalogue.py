@@ -91,7 +91,8 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
 
     An effect that has special cases among those `scored` is not scored if one of them explains
     nothing, and has no score unless it explains significantly more than each of them: simpler
-    effects come first.
+    effects come first. A special case with stated constants is none of an effect that scans its
+    own.
     """
     effect = load_effect(name)
     if reason := effect.applies(scene.model.mechanism):
@@ -111,17 +112,19 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
         return Candidate(name, effect, missing=missing, reason=reason)
     if plain.mechanism is not scene.model.mechanism:
         return _score_larger_model(scene, name, effect, plain)
+    a = conditions(plain, scene.dataset)
+    settings = scan_settings(scene, effect)
+    several = len(settings) > 1
     special = [c for c in scored if c.name in effect.generalizes and c.score is not None]
+    if several:  # one turn of a stated pulley says nothing about the other periods
+        special = [c for c in special if c.tried > 1 or not c.settings]
     for one in special:
         if one.log_p > np.log(SIGNIFICANCE_LEVEL):
             reason = f"not tested: {one.name}, a special case of it, explains nothing"
             return Candidate(name, effect, reason=reason)
-    a = conditions(plain, scene.dataset)
-    settings = scan_settings(scene, effect)
     if not settings:
         reason = f"cannot be tested: {', '.join(effect.needs)} never changed"
         return Candidate(name, effect, reason=reason)
-    several = len(settings) > 1
     setting, sigma = choose_setting(scene, name, settings) if several else (settings[0], {})
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))
     reason = _explain_invisible(highest, len(settings))

@@ -1,4 +1,5 @@
-"""Screws that advance unevenly: an error once per lead, and a pitch that changes along them."""
+"""Screws, drums and pulleys that advance unevenly: an error once per turn, and a screw's pitch that
+changes along it."""
 
 from __future__ import annotations
 
@@ -10,55 +11,80 @@ import numpy as np
 
 from parallel_cal.effects._joints import WAVE, shift_joints, wave
 from parallel_cal.mechanisms.cable import Cable
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-LEADS = (1e-3, 25e-3)  # m; spindles of robots
+# m; of spindles, and of the pulleys of belts: 16 to 30 teeth of 2 mm
+LEADS = (1e-3, 60e-3)
+WIDEST = 0.1  # m; of a lead that nothing states
+SCREW = (10e-6, 0.1e-3)  # m: tolerance and upper bound of the wave of screws
+# The same for drums and pulleys, as shares of their radius: 0.1 and 2 mm of a printed drum of 40
+# mm, 13 and 250 um of a belt pulley of 5 mm.
+ROUND = (2.5e-3, 50e-3)
+TURNING = {"screw": "screw", "spool": "drum", "belt": "pulley"}  # what turns in each kind of drive
 
 
 class ScrewPitchError(Effect):
     """q_ideal = q + sin * sin(2 pi q / lead) + cos * cos(2 pi q / lead) + bend * q^2 (m).
 
-    For every prismatic joint, with one `lead` (m) for all: known from the screw's data sheet, or
-    found by `scan`. A line has the effect only if the model file states a screw as its drive. A
-    pitch that is wrong by a constant factor is `encoder_gain`.
+    For every prismatic joint: a screw that wobbles, or a drum or belt pulley that is eccentric.
+    `lead` (m) is the travel per turn, one for all: the model file states it with the drive, or it
+    is known from the data sheet, or found by `scan`. If stated drives have different leads, each
+    has its own. Only screws bend. A line has the effect only if the model file states its drive. A
+    pitch or radius that is wrong by a constant factor is `encoder_gain`.
     """
 
-    fixed = ("lead",)
+    fixed = ("*lead",)
     alone = ("*.bend",)
-    physics = "A screw that wobbles or is bent advances unevenly within each of its turns."
-    remedy = "keep the correction in the model; a ground screw reduces the error"
-    source = "ISO 3408-3: v_2pi of 4-8 um for ball screws of class C1-C5, tens for rolled ones"
+    physics = (
+        "A screw that wobbles or is bent, or a drum or pulley that is eccentric, advances unevenly "
+        "within each of its turns."
+    )
+    remedy = (
+        "keep the correction in the model; a ground screw, or a drum or pulley that runs true on "
+        "its shaft, reduces the error"
+    )
+    source = (
+        "ISO 3408-3: v_2pi of 4-8 um for ball screws of class C1-C5, tens for rolled ones; a drum "
+        "or pulley: its eccentricity, 10-50 um if turned, to 5 % of the radius if printed"
+    )
     lookalikes = ("encoder_gain",)
     separated_by = "poses over the whole stroke whose distances are not multiples of the lead"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        sizes = {part: ("m", 10e-6, 0.1e-3, label) for part, label in WAVE.items()}
-        sizes["bend"] = ("1/m", 1e-3, 10e-3, "change of pitch")
+        turning, stated = _find_turning_joints(mechanism), _state_leads(mechanism)
         return [
-            Parameter("lead", "m", 5e-3, 3e-3, low=0.1e-3, high=0.1),
+            *[
+                Parameter(name, "m", lead, 3e-3, low=0.1e-3, high=max(WIDEST, lead))
+                for name, lead in (stated or {"lead": 5e-3}).items()
+            ],
             *[
                 Parameter(f"{joint}.{part}", unit, 0.0, size, low=-most, high=most, label=label)
-                for joint in _find_prismatic_joints(mechanism)
-                for part, (unit, size, most, label) in sizes.items()
+                for joint, drive in turning.items()
+                for part, unit, size, most, label in _list_sizes(drive)
             ],
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        def error(joint: str, q: Any) -> Any:
-            own, turned = e[joint], 2 * ca.pi * q / e.lead
-            return wave(own, "", turned) + own.bend * q**2
+        turning = _find_turning_joints(mechanism)
 
-        return shift_joints(seen, mechanism, _find_prismatic_joints(mechanism), error)
+        def error(joint: str, q: Any) -> Any:
+            own = e[joint]
+            turned = 2 * ca.pi * q / own.get("lead", e.get("lead", None))
+            return wave(own, "", turned) + own.get("bend", 0.0) * q**2
+
+        return shift_joints(seen, mechanism, turning, error)
 
     def applies(self, mechanism: Mechanism) -> str:
-        if _find_prismatic_joints(mechanism):
+        if _find_turning_joints(mechanism):
             return ""
-        if isinstance(mechanism, Cable) and not any(mechanism.drives):
-            return "its lines wind onto spools, unless the model file states a screw as their drive"
         if "m" in mechanism.joint_units:
-            return "no screw moves its joints: the model file states other drives"
+            return (
+                "its lines wind onto spools, whose size the model file does not state: state it "
+                "with the joints (drive: {kind: spool, radius: 0.05})"
+            )
         return "it has no prismatic joint"
 
     def scan(
@@ -66,32 +92,49 @@ class ScrewPitchError(Effect):
     ) -> Iterator[Mapping[str, float]]:
         """Return leads 1 / (2 travel) apart in turns per metre: half a peak's width, as for a gear.
 
-        The travel is the longest that was recorded. A lead that the model file states is the only
-        one.
+        The travel is the longest that was recorded. Leads that the model file states are the only
+        ones.
         """
-        stated = {drive.lead for drive in mechanism.drives if drive and drive.kind == "screw"}
-        if len(stated) == 1:
-            yield {"lead": stated.pop()}
+        if stated := _state_leads(mechanism):
+            yield stated
             return
-        travel = max(np.ptp(recorded[joint]) for joint in _find_prismatic_joints(mechanism))
+        travel = max(np.ptp(recorded[joint]) for joint in _find_turning_joints(mechanism))
         short, long = LEADS
         low, high = 1 / long, 1 / short
         for turns in np.arange(low, high, 1 / (2 * max(travel, 0.5 / (high - low)))):
             yield {"lead": float(1 / turns)}
 
     def period(self, setting: Mapping[str, float]) -> float:
-        """Return the lead: one turn of the screw."""
-        return setting["lead"]
+        """Return the lead: one turn of the screw, drum or pulley; the shortest of several."""
+        return min(setting.values())
 
 
-def _find_prismatic_joints(mechanism: Mechanism) -> list[str]:
-    """Return the prismatic joints that a screw moves: those with a screw as their stated drive, and
-    those without a stated drive unless they are lines."""
+def _find_turning_joints(mechanism: Mechanism) -> dict[str, Drive | None]:
+    """Return the prismatic joints that a screw, drum or pulley moves, with their drives: those with
+    a stated drive, and those without unless they are lines. If stated drives have different leads,
+    none is known for the others, and they are left out."""
     drives = mechanism.drives or (None,) * len(mechanism.joints)
     joints = zip(mechanism.joints, mechanism.joint_units, drives, strict=True)
-    by_default = not isinstance(mechanism, Cable)
-    return [
-        joint
-        for joint, unit, drive in joints
-        if unit == "m" and (drive.kind == "screw" if drive else by_default)
-    ]
+    leads = {drive.lead for drive in drives if drive}
+    by_default = not isinstance(mechanism, Cable) and len(leads) < 2
+    return {joint: drive for joint, unit, drive in joints if unit == "m" and (drive or by_default)}
+
+
+def _state_leads(mechanism: Mechanism) -> dict[str, float]:
+    """Return the stated leads by the name of their parameter; empty if none is stated."""
+    each = {joint: drive.lead for joint, drive in _find_turning_joints(mechanism).items() if drive}
+    if len({*each.values()}) == 1:
+        return {"lead": min(each.values())}
+    return {f"{joint}.lead": lead for joint, lead in each.items()}
+
+
+def _list_sizes(drive: Drive | None) -> Iterator[tuple[str, str, float, float, str]]:
+    """Yield name, unit, tolerance, upper bound and label of the numbers of one joint."""
+    is_round = drive is not None and drive.kind != "screw"
+    turning = TURNING[drive.kind] if drive is not None else "screw or pulley"
+    radius = drive.lead / (2 * np.pi) if drive is not None else 0.0
+    size, most = (share * radius for share in ROUND) if is_round else SCREW
+    for part, label in WAVE.items():
+        yield part, "m", size, most, f"{label}, once per turn of the {turning}"
+    if not is_round:
+        yield "bend", "1/m", 1e-3, 10e-3, "change of pitch"

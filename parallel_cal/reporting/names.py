@@ -37,7 +37,7 @@ TITLES = {
     "probe_tilt": "tilt of the probe",
     "pulley_radius": "radius of the pulleys",
     "rod_compliance": "flexible rods",
-    "screw_pitch_error": "pitch error of the screws",
+    "screw_pitch_error": "uneven screws, drums or pulleys",
     "servo_lag": "lag of the servos",
     "spool_buildup": "build-up on the spools",
     "strain_wave_compliance": "flexible strain-wave gears",

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 import virtual_day as vd
@@ -20,7 +20,6 @@ from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Seen
-from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism
@@ -36,8 +35,6 @@ HEX = vr.Noise(joint=5e-6, position=10e-6, orientation=15 * vr.ARCSEC)  # m on i
 
 def sees(name, mechanism, numbers, conditions, q=None, r=(0.1, -0.2, 0.3), R=None):
     """(q, r, R) that the ideal mechanism sees."""
-    import casadi as ca
-
     m = load_mechanism(mechanism)
     effect = load_effect(name)
     table = effect.table(m)
@@ -696,16 +693,55 @@ def test_a_ratio_between_two_of_a_scan_keeps_nine_tenths_of_its_ripple():
     assert np.linalg.norm(shown) > 0.89 * np.linalg.norm(ripple)
 
 
-def test_a_joint_that_runs_on_a_spool_has_no_screw():
-    root = Path(__file__).parents[2]
-    hexapod = read_model(root / "real" / "jugglebot" / "model.yaml").mechanism
-    reason = load_effect("screw_pitch_error").applies(hexapod)
-    assert reason == "no screw moves its joints: the model file states other drives"
+def test_a_drum_of_40_mm_whose_axis_is_2_mm_off_is_wrong_once_per_251_mm_of_line():
+    """A hexapod on drums, one of them behind two sheaves, one on a belt and one on a screw. A
+    quarter turn lets out a quarter of 2 pi 40 mm; behind the sheaves, a leg moves half as far."""
+    drives = 3 * [Drive("spool", radius=0.04)] + [Drive("spool", radius=0.04, advantage=2.0)]
+    drives += [Drive("belt", per_rev=8e-3, gear=4.0), Drive("screw", per_rev=5e-3)]
+    m = load_mechanism("stewart42")
+    m.drives = tuple(drives)
+    effect = load_effect("screw_pitch_error")
+    [leads] = effect.scan(m, {})
+    quarters = np.array([*leads.values()]) / 4
+    np.testing.assert_allclose(quarters[:3], np.pi * 0.02)
+    np.testing.assert_allclose(quarters[3:], [np.pi * 0.01, 8e-3, 1.25e-3])
+    assert effect.period(leads) == 5e-3
+    names = [f"leg{k}.bend" for k in range(1, 7)]
+    own = [p.name for p in effect.parameters(m)]
+    assert [name in own for name in names] == 5 * [False] + [True]
+    table = effect.table(m)
+    values = table.vector({f"{effect.name}.leg{k}.sin": 2e-3 for k in range(1, 7)})
+    e = Named(table.names, ca.SX(ca.DM(values)))[effect.name]
+    p = Named(m.parameters.names, ca.SX(ca.DM(m.parameters.nominal)))
+    seen = Seen(ca.SX(ca.DM(quarters)), ca.SX.zeros(3), ca.SX.eye(3), p)
+    q = np.array(ca.DM(effect.ideal(seen, e, Named([], ca.SX(0, 1)), m).q)).ravel()
+    np.testing.assert_allclose(q, quarters + 2e-3, atol=1e-15)
+    usual = {p.name: p.high for p in effect.parameters(m)}
+    assert usual["leg1.cos"] == pytest.approx(0.05 * 0.04)
+    assert usual["leg4.cos"] == pytest.approx(0.05 * 0.02)
+    assert usual["leg6.cos"] == 0.1e-3
+
+
+def test_equal_stated_drums_have_one_lead():
+    m = load_mechanism("stewart42")
+    m.drives = 6 * (Drive("spool", radius=0.04),)
+    effect = load_effect("screw_pitch_error")
+    assert list(effect.scan(m, {})) == [{"lead": pytest.approx(2 * np.pi * 0.04)}]
+    labels = {p.name: p.label for p in effect.parameters(m)}
+    assert labels["leg1.sin"] == "sine part, once per turn of the drum"
+
+
+@pytest.mark.parametrize("pulley", [32e-3, 40e-3])
+def test_a_scan_reaches_one_turn_of_the_pulley_of_a_printers_belt(pulley):
+    m = load_mechanism("linear_delta")
+    recorded = dict.fromkeys(m.joints, np.array([0.0, 0.4]))
+    leads = [one["lead"] for one in load_effect("screw_pitch_error").scan(m, recorded)]
+    assert np.abs(1 / np.array(leads) - 1 / pulley).min() <= 1 / (4 * 0.4)
 
 
 def test_a_line_has_a_screw_only_if_the_model_file_states_one():
     lines = load_mechanism("cable", anchors=[[-1, 1], [1, 1], [1, -1], [-1, -1]])
     effect = load_effect("screw_pitch_error")
-    assert effect.applies(lines).startswith("its lines wind onto spools")
+    assert effect.applies(lines).startswith("its lines wind onto spools, whose size")
     lines.drives = (Drive("screw", per_rev=5e-3),) * 4
     assert effect.applies(lines) == ""

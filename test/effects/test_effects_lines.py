@@ -1,17 +1,25 @@
 """Pulleys, stretch under tension, sag and creep of lines: by hand, and in virtual cable robots."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
-from virtual_lines import Creep, LinedRobot, Pulleys, Tension, balanced_length
+from virtual_lines import Creep, LinedRobot, Pulleys, Tension, balanced_length, taut_length
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.diagnosis.addition import see
+from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Seen
+from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import add
+from parallel_cal.virtual import robot as vr
 
 RADIUS, GEAR = 0.075, 12.75
 ROBOTS = {
@@ -216,6 +224,92 @@ def test_an_effect_of_size_zero_changes_nothing_and_its_slope_is_finite(name, ro
         seen, by = slope(q, r, at, model.values)
         np.testing.assert_allclose(np.array(seen).squeeze(), q, atol=1e-9)
         assert np.isfinite(np.array(by)).all()
+
+
+# --------------------------------------------------------------------------- lines as struts
+
+CORNERS = np.array([[x, y, z] for x in (-2.5, 2.4) for y in (-1.8, 1.7) for z in (0.2, 2.6)])
+EYELETS = np.array([[-x / 10, -y / 9, 0.15 if z > 1 else -0.15] for x, y, z in CORNERS])
+OUT = Drive("spool", radius=0.04)
+
+
+def crane(*drives):
+    """A platform with six freedoms on eight lines from spools, unless other drives are given."""
+    stated = load_mechanism(
+        "stewart42",
+        base=CORNERS.tolist(),
+        platform=EYELETS.tolist(),
+        height=1.3,
+        limits=[-2.5, 2.5],
+        tolerance=0.005,
+    )
+    stated.drives = drives or 8 * (OUT,)
+    return stated
+
+
+def sail(sense, radius=0.04, n=40, seed=5):
+    """Readings (n, 8) m and poses of the crane, the lines over pulleys by the virtual robot."""
+    rng = np.random.default_rng(seed)
+    r = np.array([0.0, 0.0, 1.3]) + rng.uniform(-1, 1, (n, 3)) * [1.2, 0.8, 0.6]
+    R = vr.turn(rng.uniform(-0.25, 0.25, (n, 3)))
+    r[0], R[0] = [0.0, 0.0, 1.3], np.eye(3)  # readings are zero at home
+    ends = r[:, None] + np.einsum("nij,kj->nki", R, EYELETS)
+    axes = sense * np.array([[0, 0, 1.0 if z > 1 else -1.0] for _, _, z in CORNERS])
+    each = zip(CORNERS, axes, strict=True)
+    lengths = np.stack(
+        [taut_length(ends[:, k], a, u, radius) for k, (a, u) in enumerate(each)], axis=1
+    )
+    return lengths - lengths[0], r, R
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_true_pulleys_close_the_struts_of_a_platform_on_eight_lines(sense):
+    q, r, R = sail(sense)
+    x = np.column_stack([q, r, R.reshape(-1, 9)])
+    at = np.zeros((len(q), 0))
+    left = {}
+    for side in (1.0, -1.0):
+        numbers = {"pulley_radius.radius": 0.04, "pulley_radius.sense": side}
+        model = new_model(crane(), numbers, ["pulley_radius"])
+        left[side] = np.abs(model.structure.closure_batch(x, at, model.values)[0]).max()
+    assert left[sense] < 1e-9
+    assert left[-sense] > 1e-3
+
+
+def test_pulleys_turn_lines_only_not_struts_that_a_spool_pushes():
+    effect = load_effect("pulley_radius")
+    wound = replace(OUT, line="in")
+    assert "unless the model file states spools that let out line" in effect.applies(
+        crane(*8 * (wound,))
+    )
+    assert effect.applies(crane(*7 * (wound,), OUT)) == ""
+    names = [p.name for p in effect.parameters(crane(*7 * (wound,), OUT))]
+    assert names == ["radius", "sense", *[f"leg8.axis_{axis}" for axis in "xyz"]]
+    assert load_effect("universal_joint_offset").applies(crane()) == ""
+
+
+def test_a_file_without_the_sense_of_pulleys_comes_from_the_stated_side():
+    text = dump_model(new_model(mechanism("eight")).with_effect("pulley_radius"))
+    older = "".join(line for line in text.splitlines(True) if " sense:" not in line)
+    assert older != text
+    assert dump_model(parse_model(older)) == text
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_hidden_pulleys_of_a_crane_are_named_with_their_side_not_as_offset_joints(sense):
+    q, r, R = sail(sense, n=60)
+    noise = Noise(joint=0.16e-3, position=0.4e-3, orientation=0.8e-3)
+    rng, model = np.random.default_rng(3), replace(new_model(crane()), noise=noise)
+    q += noise.joint * rng.standard_normal(q.shape)
+    r += noise.position * rng.standard_normal(r.shape)
+    R = vr.turn(noise.orientation * rng.standard_normal(r.shape)) @ R
+    scene = see(fit(model, Dataset.from_arrays(model.joints, q, r, R), hold_out=0))
+    names = ["pulley_radius", "universal_joint_offset", "encoder_gain", "spool_buildup"]
+    posterior, _, chosen = Causes.of(scene, names).explain()
+    assert [one.name for one in chosen] == ["pulley_radius"]
+    assert posterior.probability["pulley_radius"] > 0.99
+    assert chosen[0].settings["sense"] == sense
 
 
 # --------------------------------------------------------------------------- found in data

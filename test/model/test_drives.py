@@ -7,7 +7,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import parallel_cal as pc
 from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.diagnosis.addition import see
+from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.diagnosis.explanation import Causes
 from parallel_cal.effects.encoder_gain import EncoderGain
 from parallel_cal.identification.fit import fit
 from parallel_cal.mechanisms.stewart42 import BASE, PLATFORM, RETRACTED, Stewart42
@@ -111,6 +115,52 @@ def test_the_lead_of_a_stated_screw_is_the_only_one_that_is_tried():
     recorded = {joint: np.array([0.0, 0.1]) for joint in screw.joints}
     assert list(scan(screw, recorded)) == [{"lead": pytest.approx(5e-3)}]
     assert len(list(scan(Stewart42(), recorded))) > 10
+
+
+def read_by_eccentric_drum(lengths, radius, off, phase):
+    """Readings (n,) m of a drum whose axis is off, found by bisection from its lengths of line."""
+    low, high = (lengths - 3 * off) / radius, (lengths + 3 * off) / radius
+    for _ in range(60):
+        angle = (low + high) / 2
+        short = radius * angle + off * (np.sin(angle + phase) - np.sin(phase)) < lengths
+        low, high = np.where(short, angle, low), np.where(short, high, angle)
+    return radius * angle
+
+
+@pytest.mark.wide
+def test_an_eccentric_drum_is_named_by_the_turn_of_the_stated_radius():
+    radius, rng = 0.012, np.random.default_rng(1)
+    r = np.array([0.0, 0.0, 0.3]) + rng.uniform(-0.05, 0.05, (60, 3))
+    R = vr.turn(rng.uniform(-0.15, 0.15, (60, 3)))
+    lengths = np.linalg.norm(r[:, None] + np.einsum("nij,kj->nki", R, PLATFORM) - BASE, axis=2)
+    q = lengths - RETRACTED
+    q[:, 3] = read_by_eccentric_drum(q[:, 3], radius, 0.3e-3, 0.8)
+    noise = Noise(joint=30e-6, position=30e-6, orientation=0.2e-3)
+    model = replace(hexapod(Drive("spool", radius=radius)), noise=noise)
+    q += noise.joint * rng.standard_normal(q.shape)
+    scene = see(fit(model, Dataset.from_arrays(model.joints, q, r, R), hold_out=0))
+    names = ["screw_pitch_error", "encoder_interpolation", "encoder_gain", "spool_buildup"]
+    posterior, _, chosen = Causes.of(scene, names).explain()
+    assert [one.name for one in chosen] == ["screw_pitch_error"]
+    assert posterior.probability["screw_pitch_error"] > 0.99
+    assert chosen[0].settings == {"lead": pytest.approx(2 * np.pi * radius)}
+
+
+def test_a_stated_pulley_that_runs_true_does_not_hide_other_periods():
+    """Its turn is no special case of a scanned period: teeth of the belt may be wrong."""
+    model = hexapod(Drive("belt", per_rev=32e-3))
+    model = replace(model, noise=Noise(joint=2e-6, position=3e-6, orientation=2e-5))
+    teeth = "encoder_interpolation:period=3e-3," + ",".join(
+        f"leg{k}.sin1=20e-6" for k in range(1, 7)
+    )
+    data = pc.simulate(model, 40, 1, effects=[teeth]).dataset()
+    scene = see(fit(model, data, hold_out=0))
+    turn = candidate(scene, "screw_pitch_error")
+    assert turn.settings == {"lead": pytest.approx(32e-3)}
+    assert turn.p_value > 0.01
+    found = candidate(scene, "encoder_interpolation", [turn])
+    assert found.testable
+    assert found.settings["period"] == pytest.approx(3e-3, rel=0.02)
 
 
 @pytest.mark.parametrize("line", ["out", "in"])

@@ -297,7 +297,11 @@ def _add_later_parameters(
     """Return the numbers of an effect with those that files of earlier releases lack."""
     fixed = bool(numbers) and all(number.fixed for number in numbers.values())
     later = {
-        name: OwnNumberPart(value=p.nominal, unit=p.unit, fixed=fixed)
+        name: OwnNumberPart(
+            value=p.nominal,
+            unit=p.unit,
+            fixed=fixed or any(fnmatchcase(name, one) for one in effect.fixed),
+        )
         for name, p in short.items()
         if name not in numbers and any(fnmatchcase(name, one) for one in effect.added_later)
     }
