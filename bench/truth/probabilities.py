@@ -16,7 +16,7 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from bench.truth import blind, new_effects
 from parallel_cal.base.errors import FitError
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis.explanation import Explanation
-from parallel_cal.diagnosis.search import Chosen, Search
+from parallel_cal.diagnosis.search import Search
 from parallel_cal.identification.fit import fit_unjudged
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.options import FitOptions
@@ -56,8 +56,8 @@ def explain(model: Model, data: Dataset) -> Explanation:
     def refit(extended: Model, insist: bool, near: Any) -> Any:
         return fit_unjudged(extended, given.dataset, options, given=given)
 
-    def place(chosen: Sequence[Chosen]) -> Model:
-        return given.placed_with(((one.name, one.settings) for one in chosen), options)
+    def place(extended: Model) -> Model:
+        return given.place(extended, options)
 
     search = Search(given.start, refit, lambda stage, share: None, place=place)
     return Explanation.of(search, list_effects_to_test(given.start), lambda knocked: knocked)

@@ -162,8 +162,10 @@ def find_addition(
         return dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
 
     def fit_with(added: Sequence[Candidate], base: FitResult) -> FitResult:
-        effects = ((one.name, one.settings) for one in added)
-        placed = base.given.placed_with(effects, options)
+        extended = base.start
+        for one in added:
+            extended = extended.with_effect(one.name, one.settings)
+        placed = base.given.place(extended, options)
         return fit_unjudged(placed, base.dataset, options, progress, base.given).judge(progress)
 
     def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:

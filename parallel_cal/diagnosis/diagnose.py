@@ -46,7 +46,6 @@ from parallel_cal.diagnosis.patterns import (
 )
 from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
 from parallel_cal.diagnosis.search import (
-    Chosen,
     Refit,
     Search,
     Trial,
@@ -447,9 +446,8 @@ class _Setup:
         least_squares = replace(self.any_size, loss="linear")
         refit = refit_with_equal_weights(self.model, judged, least_squares)
 
-        def place(chosen: Sequence[Chosen]) -> Model:
-            effects = ((one.name, one.settings) for one in chosen)
-            return judged.placed_with(effects, self.any_size)
+        def place(extended: Model) -> Model:
+            return judged.place(extended, self.any_size)
 
         def set_aside(knocked: Sequence[int]) -> list[int]:
             more = [one for one in knocked if one not in trusted]

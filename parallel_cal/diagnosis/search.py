@@ -3,7 +3,7 @@ poses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -25,8 +25,7 @@ from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene, SharedDerivatives
 
-# The model that a search extends, with effects, and the device where it stands if it has them
-Place = Callable[[Sequence["Chosen"]], Model]
+Place = Callable[[Model], Model]  # the device where it stands if the robot has the effects
 # Of a model; whether contradictions are accepted, and the fit near which a single step is enough.
 Refit = Callable[[Model, bool, FitResult | None], UnjudgedFit]
 
@@ -139,15 +138,9 @@ class Search:
         place: Place | None = None,
     ):
         self._model, self._progress, self._refit = model, progress, refit
-        self._usual_only, self._place = usual_only, place or self._extend
+        self._usual_only, self._place = usual_only, place or (lambda model: model)
         self._shared = SharedDerivatives()
         self._known: dict[tuple[Collection[Chosen], bool, bool], Trial] = {}
-
-    def _extend(self, chosen: Sequence[Chosen]) -> Model:
-        model = self._model
-        for one in chosen:
-            model = model.with_effect(one.name, one.settings)
-        return model
 
     def fit(
         self, *chosen: Chosen, insist: bool = False, judged: bool = True, once: bool = False
@@ -192,11 +185,14 @@ class Search:
         names = ", ".join(c.name for c in chosen)
         self._progress(f"refitting with {names}" if names else "refitting the geometry", 0.5)
         key = frozenset(ordered), insist, once
-        near = self.fit(judged=False).result if once else None
+        model, near = self._model, self.fit(judged=False).result if once else None
         try:
+            for one in chosen:
+                model = model.with_effect(one.name, one.settings)
             # The lack of an effect moves the device; a single step does not pay for moving it back.
-            placed = self._extend(chosen) if once or not chosen else self._place(chosen)
-            unjudged = self._refit(placed, insist, near)
+            if chosen and not once:
+                model = self._place(model)
+            unjudged = self._refit(model, insist, near)
             trial = Trial(chosen, unjudged.result, shared=self._shared, unjudged=unjudged)
             if chosen and (words := unjudged.result.implausible):
                 trial = Trial(chosen, None, words)

@@ -8,7 +8,7 @@ sample as those of the fit.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -109,14 +109,16 @@ class GivenModel:
             doubted_columns=doubts,
         )
 
-    def placed_with(
-        self, effects: Iterable[tuple[str, Mapping[str, float]]], how: FitOptions
-    ) -> Model:
-        """Return the start with effects and their settings, and with the device where it stands if
+    def place(self, larger: Model, how: FitOptions) -> Model:
+        """Return the start of a fit with further effects, and with the device where it stands if
         the robot has them: the lack of a large one moves it."""
-        larger = self.start
-        for name, settings in effects:
-            larger = larger.with_effect(name, settings)
+        start, larger = self.start, larger.with_sensors(self.start.sensors)
+        values, fixed = larger.values.copy(), np.array(larger.fixed)
+        for i, parameter in enumerate(start.table):
+            if parameter.group == "sensor":
+                k = larger.table.index_of(parameter.name)
+                values[k], fixed[k] = start.values[i], start.fixed[i]
+        larger = replace(larger, values=values, fixed=fixed)
         return prepared_for_fit(larger, self.registration, self.dataset, how)[0]
 
     def with_dataset(self, dataset: Dataset) -> GivenModel:

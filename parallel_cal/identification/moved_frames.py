@@ -106,7 +106,7 @@ def _explain_by_zeros(model: Model, observations: Observations, there: PosePairs
         lambda zeros: predicted(zeros).compute_errors(there.now),
         np.zeros(q.shape[1]),
         bounds=(-span, span),
-        x_scale=span,
+        x_scale=model.mechanism.joint_ranges,
         max_nfev=ZERO_STEPS,
     )
     zeros = int(np.linalg.matrix_rank(found.jac))

@@ -7,6 +7,7 @@ from datasets import measured
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis import causes as linear
 from parallel_cal.diagnosis import explanation
+from parallel_cal.diagnosis.addition import find_addition, with_given_model_of
 from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.identification.fit import fit_unjudged
@@ -62,3 +63,14 @@ def test_what_imitates_the_curvature_of_a_large_effect_is_not_named(
     _, described, chosen = again.explain()
     assert [one.name for one in chosen] == ["backlash"]
     assert again.find_nearer(search, (), search.fit_as_shown(PLAY, judged=False), described) is None
+
+
+def test_an_effect_is_added_beside_those_that_the_compared_model_does_not_have(search, base):
+    """As `discover` adds one law after the other, and compares all with the model it began with."""
+    data = base.fitted.dataset
+    beside = with_given_model_of(search.fit(PLAY, insist=True, judged=False).fitted, base.fitted)
+    found = find_addition(
+        beside.start, "encoder_gain", data, FitOptions(hold_out=0), knocked=(), known=(beside, None)
+    )
+    names = [effect.name for effect in found.result.model.effects]
+    assert names == ["backlash", "encoder_gain"]
