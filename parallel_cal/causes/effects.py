@@ -256,16 +256,15 @@ def list_effects_to_test(
 ) -> list[str]:
     """Effects to test: the shelf's, or `only` these, and a user's own by Python path (`also`).
 
-    ModelError for one of the user's own whose file is wrong, and for one of `only` that does not
-    apply: asked for, it is not left out.
+    ModelError for one of the user's own whose file is wrong, and if none of `only` applies: nothing
+    of what was asked for could be answered.
     """
     own, asked, has = list(also), list(only), {effect.name for effect in model.effects}
     for name in own:
         if name not in has and not load_effect(name).applies(model.mechanism):
             model.with_effect(name)
-    for name in asked:
-        if name not in has:
-            model.with_effect(name)
+    if asked and all(load_effect(name).applies(model.mechanism) for name in asked):
+        model.with_effect(asked[0])
     wanted = dict.fromkeys([*(asked or list_plugins("effects")), *own])
     return [name for name in wanted if name not in has]
 

@@ -451,7 +451,9 @@ def test_a_faulty_user_effect_raises_an_error_and_is_not_skipped(
         list_effects_to_test(new_model("delta54"), also=[f"of_mine.{name}"])
 
 
-def test_an_effect_that_is_asked_for_and_does_not_apply_is_an_error_as_with_add():
+def test_effects_of_which_none_applies_are_an_error_as_with_add():
     words = "effect screw_pitch_error does not apply to delta54: it has no prismatic joint"
     with pytest.raises(ModelError, match=words):
-        list_effects_to_test(new_model("delta54"), only=["backlash", "screw_pitch_error"])
+        list_effects_to_test(new_model("delta54"), only=["screw_pitch_error", "line_sag"])
+    some = ["screw_pitch_error", "backlash"]  # the first one is listed with the reason
+    assert list_effects_to_test(new_model("delta54"), only=some) == some

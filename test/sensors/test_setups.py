@@ -320,7 +320,8 @@ def test_a_probe_calibrates_what_it_can_see_from_a_recording(robot, run, tmp_pat
     assert document["before"]["reading_mean"] > 0.2e-3
     assert document["after"]["reading_mean"] < 2e-6
     assert document["held_out"]["after"]["reading_mean"] < 20e-6
-    assert document["dof"] == 40 - document["rank"]
+    # Tolerances hold a part of what 40 heights determine.
+    assert 40 - document["rank"] <= document["dof"] < 40 - 0.8 * document["rank"]
 
 
 def test_a_plan_for_the_device_says_that_it_does_not_count_the_probe(run, tmp_path):
