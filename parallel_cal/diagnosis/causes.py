@@ -121,9 +121,9 @@ class Causes:
 
         Where an unknown law of the robot is likely, known effects imitate it at best. They are
         chosen as if there were no such law, since the error may fall with them; their probability
-        tells what they are. One whose settings were scanned follows anything, and one of the device
-        takes an error of the robot away from it: they must be likely beside the law. Beside noise
-        that drifts, an effect of time is not told from it.
+        tells what they are. A wave, or one whose settings were scanned, follows anything, and one
+        of the device takes an error of the robot away from it: they must be likely beside the law.
+        Beside noise that drifts, an effect of time is not told from it.
         """
         possible = replace(self.sum, left_out=frozenset(refuted))
         there = {block.name: block for block in possible.blocks}
@@ -145,7 +145,9 @@ class Causes:
             effect = load_effect(block.name)
             if drifts and "time" in effect.needs:
                 return False
-            return block.name in likely or not (one.is_scanned or effect.of_device)
+            setting = block.settings[one.setting]
+            is_wave = bool(setting) and effect.period(setting) is not None
+            return block.name in likely or not (one.is_scanned or is_wave or effect.of_device)
 
         return posterior, described, as_effects(filter(is_named, described.chosen))
 

@@ -57,7 +57,7 @@ class ScrewPitchError(Effect):
         turning, stated = _find_turning_joints(mechanism), _state_leads(mechanism)
         return [
             *[
-                Parameter(name, "m", lead, 3e-3, low=0.1e-3, high=max(WIDEST, lead))
+                Parameter(name, "m", lead, 6e-3, low=0.1e-3, high=max(WIDEST, lead))
                 for name, lead in (stated or {"lead": 5e-3}).items()
             ],
             *[
