@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, ClassVar
 
 import casadi as ca
+import numpy as np
 
 from parallel_cal.mechanisms.cable import Cable
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -23,16 +25,26 @@ def find_revolute_joints(mechanism: Mechanism) -> list[str]:
 
 
 def find_prismatic_joints(mechanism: Mechanism) -> list[str]:
-    """Return the prismatic joints that are no lines on spools: by a stated drive, and without one
-    those of a robot that no lines hold."""
+    """Return the prismatic joints, whatever drives them."""
+    joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
+    return [joint for joint, unit in joints if unit == "m"]
+
+
+def find_drives(mechanism: Mechanism) -> dict[str, Drive | None]:
+    """Return the prismatic joints with their stated drives. A line without one winds onto a spool
+    of unknown size, and is left out."""
     drives = mechanism.drives or (None,) * len(mechanism.joints)
-    joints = zip(mechanism.joints, mechanism.joint_units, drives, strict=True)
+    stated = dict(zip(mechanism.joints, drives, strict=True))
+    joints = find_prismatic_joints(mechanism)
     by_default = not isinstance(mechanism, Cable)
-    return [
-        joint
-        for joint, unit, drive in joints
-        if unit == "m" and (drive.kind != "spool" if drive else by_default)
-    ]
+    return {joint: stated[joint] for joint in joints if stated[joint] or by_default}
+
+
+def scan_periods(travel: float, short: float, long: float) -> Iterator[float]:
+    """Yield periods (m) whose reciprocals are 1 / (2 travel) apart: half a peak's width."""
+    low, high = 1 / long, 1 / short
+    for waves in np.arange(low, high, 1 / (2 * max(travel, 0.5 / (high - low)))):
+        yield float(1 / waves)
 
 
 def explain_how_to_state_spool(mechanism: Mechanism) -> str:

@@ -124,7 +124,7 @@ def find_wound_struts(mechanism: Mechanism) -> list[int]:
     """Return the numbers of the joints whose reading is the length of a strut that is a line: a
     spool lets out line as the reading grows. (A spool that winds line in pushes a rigid strut.)"""
     p = Named(mechanism.parameters.names, ca.DM(mechanism.parameters.nominal))
-    r, R = _find_home(mechanism)
+    r, R = find_home(mechanism)
     spools = [mechanism.spool(i, p) for i in range(len(mechanism.struts(r, R, p)))]
     return [i for i, spool in enumerate(spools) if spool is not None and spool.turn > 0]
 
@@ -143,14 +143,14 @@ def shift_lines(
     """
     more = excess(seen)
     if since_home:
-        there = _find_home(mechanism)
+        there = find_home(mechanism)
         more = [m - m0 for m, m0 in zip(more, excess(seen.with_pose(*there)), strict=True)]
     if isinstance(mechanism, LINES):
         more = [m / mechanism.per_reading(seen.p, i) for i, m in enumerate(more)]
     return seen.with_q(seen.q - ca.vertcat(*more))
 
 
-def _find_home(mechanism: Mechanism) -> tuple[Any, Any]:
+def find_home(mechanism: Mechanism) -> tuple[Any, Any]:
     """Return position (3, 1) m and rotation (3, 3) of {P} at home."""
     home = mechanism.home
     return ca.DM(home.position), ca.DM(quaternion_to_matrix(home.quaternion))

@@ -9,7 +9,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import find_prismatic_joints, make_waves, shift_joints, wave
+from parallel_cal.effects._joints import (
+    find_drives,
+    make_waves,
+    scan_periods,
+    shift_joints,
+    wave,
+)
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -46,7 +52,7 @@ class EncoderInterpolation(Effect):
             Parameter("period", "m", 10e-3, 6e-3, low=10e-6, high=0.5, label="pitch"),
             *[
                 amplitude
-                for joint in find_prismatic_joints(mechanism)
+                for joint in _find_scales(mechanism)
                 for amplitude in make_waves(joint, "m", 10e-6, 0.1e-3, WAVES)
             ],
         ]
@@ -56,10 +62,10 @@ class EncoderInterpolation(Effect):
             own, turned = e[joint], 2 * ca.pi * q / e.period
             return wave(own, "1", turned) + wave(own, "2", 2 * turned)
 
-        return shift_joints(seen, mechanism, find_prismatic_joints(mechanism), error)
+        return shift_joints(seen, mechanism, _find_scales(mechanism), error)
 
     def applies(self, mechanism: Mechanism) -> str:
-        if find_prismatic_joints(mechanism):
+        if _find_scales(mechanism):
             return ""
         if "m" in mechanism.joint_units:
             return "its joints are lines on spools, which have no scale, magnets or teeth"
@@ -68,12 +74,10 @@ class EncoderInterpolation(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Return periods whose reciprocals (1/m) are 1 / (2 travel) apart: half a peak's width."""
-        travel = max(np.ptp(recorded[joint]) for joint in find_prismatic_joints(mechanism))
-        short, long = PERIODS
-        low, high = 1 / long, 1 / short
-        for waves in np.arange(low, high, 1 / (2 * max(travel, 0.5 / (high - low)))):
-            yield {"period": float(1 / waves)}
+        """Return the `scan_periods` of the longest travel that was recorded."""
+        travel = max(np.ptp(recorded[joint]) for joint in _find_scales(mechanism))
+        for period in scan_periods(travel, *PERIODS):
+            yield {"period": period}
 
     def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
         """Return half of the period: twice the true period fits as well, by its second harmonic."""
@@ -82,3 +86,9 @@ class EncoderInterpolation(Effect):
 
     def period(self, setting: Mapping[str, float]) -> float:
         return setting["period"]
+
+
+def _find_scales(mechanism: Mechanism) -> list[str]:
+    """Return the prismatic joints that may have a scale, magnets or teeth: those on no spool."""
+    drives = find_drives(mechanism).items()
+    return [joint for joint, drive in drives if drive is None or drive.kind != "spool"]

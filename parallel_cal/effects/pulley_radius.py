@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.effects._lines import (
+    find_home,
     find_strands,
     find_wound_struts,
     needs_lines,
@@ -34,7 +34,7 @@ class PulleyRadius(Effect):
     The lines of a cable robot, or struts with a spool as their stated drive: lines from the foot A
     to the head P, whose reading is a length (k = 1).
 
-    `radius` (m) is that of the groove plus half the line, the same for all pulleys. `axis`, times
+    `radius` (m) is that of the groove plus half the line, one for all pulleys. `axis`, times
     `sense`, is the direction in {B} in which the line runs towards its pulley. By default it is
     that of the last coordinate that moves (z; y if P moves in x and y only), with the sign that
     points away from home: upwards for a high pulley, downwards for a low one. For a line that is
@@ -108,9 +108,8 @@ def _find_ways(seen: Seen, mechanism: Mechanism) -> dict[int, Any]:
 def _list_axes(mechanism: Mechanism) -> list[Parameter]:
     """Return the directions in which the lines come to their pulleys."""
     names, p = _name_lines(mechanism), mechanism.parameters
-    home = mechanism.home
-    r, R = ca.DM(home.position), ca.DM(quaternion_to_matrix(home.quaternion))
-    at_home = Seen(ca.DM(home.joints), r, R, Named(p.names, ca.DM(p.nominal)))
+    r, R = find_home(mechanism)
+    at_home = Seen(ca.DM(mechanism.home.joints), r, R, Named(p.names, ca.DM(p.nominal)))
     return [
         Parameter(
             f"{names[i]}.axis_{axis}",

@@ -9,8 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import WAVE, shift_joints, wave
-from parallel_cal.mechanisms.cable import Cable
+from parallel_cal.effects._joints import WAVE, find_drives, scan_periods, shift_joints, wave
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
@@ -20,8 +19,8 @@ from parallel_cal.model.parameters import Named, Parameter
 LEADS = (1e-3, 60e-3)
 WIDEST = 0.1  # m; of a lead that nothing states
 SCREW = (10e-6, 0.1e-3)  # m: tolerance and upper bound of the wave of screws
-# The same for drums and pulleys, as shares of their radius: 0.1 and 2 mm of a printed drum of 40
-# mm, 13 and 250 um of a belt pulley of 5 mm.
+# Tolerance and upper bound of the wave of drums and pulleys, as shares of their radius: 0.1 and 2
+# mm of a printed drum of 40 mm, 13 and 250 um of a belt pulley of 5 mm.
 ROUND = (2.5e-3, 50e-3)
 TURNING = {"screw": "screw", "spool": "drum", "belt": "pulley"}  # what turns in each kind of drive
 
@@ -90,19 +89,14 @@ class ScrewPitchError(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Return leads 1 / (2 travel) apart in turns per metre: half a peak's width, as for a gear.
-
-        The travel is the longest that was recorded. Leads that the model file states are the only
-        ones.
-        """
+        """Return the `scan_periods` of the longest travel that was recorded, or the leads that the
+        model file states."""
         if stated := _state_leads(mechanism):
             yield stated
             return
         travel = max(np.ptp(recorded[joint]) for joint in _find_turning_joints(mechanism))
-        short, long = LEADS
-        low, high = 1 / long, 1 / short
-        for turns in np.arange(low, high, 1 / (2 * max(travel, 0.5 / (high - low)))):
-            yield {"lead": float(1 / turns)}
+        for lead in scan_periods(travel, *LEADS):
+            yield {"lead": lead}
 
     def period(self, setting: Mapping[str, float]) -> float:
         """Return the lead: one turn of the screw, drum or pulley; the shortest of several."""
@@ -110,14 +104,11 @@ class ScrewPitchError(Effect):
 
 
 def _find_turning_joints(mechanism: Mechanism) -> dict[str, Drive | None]:
-    """Return the prismatic joints that a screw, drum or pulley moves, with their drives: those with
-    a stated drive, and those without unless they are lines. If stated drives have different leads,
-    none is known for the others, and they are left out."""
-    drives = mechanism.drives or (None,) * len(mechanism.joints)
-    joints = zip(mechanism.joints, mechanism.joint_units, drives, strict=True)
-    leads = {drive.lead for drive in drives if drive}
-    by_default = not isinstance(mechanism, Cable) and len(leads) < 2
-    return {joint: drive for joint, unit, drive in joints if unit == "m" and (drive or by_default)}
+    """Return the prismatic joints that a screw, drum or pulley moves, with their drives. If stated
+    drives have different leads, none is known for a joint without a drive, which has no error."""
+    drives = find_drives(mechanism)
+    differ = len({drive.lead for drive in drives.values() if drive}) > 1
+    return {joint: drive for joint, drive in drives.items() if drive or not differ}
 
 
 def _state_leads(mechanism: Mechanism) -> dict[str, float]:

@@ -351,6 +351,20 @@ def test_a_line_on_a_spool_has_no_scale():
     assert names[1:] == [f"leg1.{part}" for part in ("sin1", "cos1", "sin2", "cos2")]
 
 
+def test_warmth_lengthens_lines_on_spools_as_it_does_scales():
+    """What has no scale to interpolate grows all the same: 12e-6 / K times 10 K of 0.2 m."""
+    hexapod = load_mechanism("stewart42")
+    hexapod.drives = (Drive("spool", radius=0.04),) * 6
+    effect = load_effect("thermal_expansion")
+    names = [p.name for p in effect.parameters(hexapod)]
+    sizes = {"scales.alpha": 12e-6, "reference": 20.0}
+    e = Named(names, ca.DM([sizes.get(name, 0.0) for name in names]))
+    p = Named(hexapod.parameters.names, ca.DM(hexapod.parameters.nominal))
+    seen = Seen(ca.DM([0.2] * 6), ca.DM.zeros(3), ca.DM.eye(3), p)
+    grown = effect.ideal(seen, e, Named(["temperature"], ca.DM([30.0])), hexapod)
+    np.testing.assert_allclose(np.array(grown.q).ravel() - 0.2, 0.2 * 12e-5, rtol=1e-9)
+
+
 # --------------------------------------------------------------------------- found again
 
 
