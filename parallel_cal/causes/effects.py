@@ -256,8 +256,7 @@ def list_effects_to_test(
 ) -> list[str]:
     """Effects to test: the shelf's, or `only` these, and a user's own by Python path (`also`).
 
-    ModelError for one of the user's own whose file is wrong, and if none of `only` applies: nothing
-    of what was asked for could be answered.
+    ModelError for one of the user's own whose file is wrong, and if none of `only` applies.
     """
     own, asked, has = list(also), list(only), {effect.name for effect in model.effects}
     for name in own:

@@ -213,17 +213,21 @@ def _guess_poses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
     """Yield what may be wrong with positions, if they are measured (`placed`), and with
     orientations, if they are (`turned`)."""
 
-    def mirrored(mirror: Array, R: bool, there: DevicePoses, F: Array | None) -> DevicePoses:
-        turn = mirror @ there.seen_R @ mirror if R else there.seen_R
+    def mirror_poses(
+        mirror: Array, turns: bool, there: DevicePoses, F: Array | None
+    ) -> DevicePoses:
+        turn = mirror @ there.seen_R @ mirror if turns else there.seen_R
         return replace(there, seen_r=there.seen_r @ mirror, seen_R=turn)
 
-    def scaled(factor: float, there: DevicePoses, F: Array | None) -> DevicePoses:
+    def scale_positions(factor: float, there: DevicePoses, F: Array | None) -> DevicePoses:
         return replace(there, seen_r=factor * there.seen_r)
 
-    def meant(convention: Convention, there: DevicePoses, F: Array | None) -> DevicePoses:
+    def read_orientations(
+        convention: Convention, there: DevicePoses, F: Array | None
+    ) -> DevicePoses:
         return replace(there, seen_R=convention.choose(there, F))
 
-    def inverted(there: DevicePoses, F: Array | None) -> DevicePoses:
+    def invert_poses(there: DevicePoses, F: Array | None) -> DevicePoses:
         R = there.seen_R.transpose(0, 2, 1)
         r = -np.einsum("nij,nj->ni", R, there.seen_r)
         measured = there.measured & (there.turned[:, None] | ~PLACE)
@@ -232,18 +236,18 @@ def _guess_poses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
     if placed:
         for factor, unit in LENGTHS.items():
             words = f"the positions are in {unit} (column map: unit)"
-            yield Guess(words, poses=partial(scaled, factor))
+            yield Guess(words, poses=partial(scale_positions, factor))
         words = "the frame of the device is left-handed (two of its axes are exchanged)"
-        yield Guess(words, poses=partial(mirrored, np.diag([1.0, 1.0, -1.0]), True))
+        yield Guess(words, poses=partial(mirror_poses, np.diag([1.0, 1.0, -1.0]), True))
         for exchanged, mirror in MIRRORS.items() if turned else ():
             words = f"the positions, but not the orientations, are left-handed: {exchanged}"
-            yield Guess(words, poses=partial(mirrored, mirror, False))
+            yield Guess(words, poses=partial(mirror_poses, mirror, False))
     if turned and max(model.mechanism.moved) >= 3:
         for convention in list_conventions():
-            yield Guess(convention.words, poses=partial(meant, convention))
+            yield Guess(convention.words, poses=partial(read_orientations, convention))
         if placed:
             words = "the poses are inverse, those of {B} seen by {P} (invert them: position -R^T r,"
-            yield Guess(f"{words} rotation R^T)", poses=inverted)
+            yield Guess(f"{words} rotation R^T)", poses=invert_poses)
 
 
 def _list_orders(joints: int) -> list[tuple[int, ...]]:

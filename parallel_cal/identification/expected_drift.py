@@ -88,7 +88,7 @@ def expect_drift(
     scaled = sum(w * F @ F.T for F, w in zip(factors, weights, strict=True))
     C0, typical = test.C0[:n, :n], test.typical[:n, :n]
     unit = float(np.vdot(typical, C0))
-    today = np.linalg.solve(np.eye(n) + (C0 + scaled) @ A[:n, :n], C0 + scaled)
+    today = _narrow(C0 + scaled, A[:n, :n])
     mean, squares = _average(test, look, A, b)
     tolerance = model.table.tolerance[free]
     drift, metric = np.zeros((2, len(model.table), len(model.table)))
@@ -118,7 +118,7 @@ def _average(
     for weight, prior in cases:
         if weight < MIN_WEIGHT:
             continue
-        C = np.linalg.solve(np.eye(n) + prior @ A, prior)
+        C = _narrow(prior, A)
         m = C @ b
         mean += weight * m
         squares += weight * (C + np.outer(m, m))
@@ -137,7 +137,7 @@ def _count_telling(
     for k, case in enumerate(rng.choice(len(weights), DRAWS, p=weights).tolist()):
         h, s = divmod(case, len(SCALES))
         prior = test.C0 + SCALES[s] ** 2 * test.changes[h].factor @ test.changes[h].factor.T
-        C = np.linalg.solve(np.eye(n) + prior @ A, prior)
+        C = _narrow(prior, A)
         drawn[:, k] = C @ b + _root(C) @ rng.standard_normal(n)
     noise = _root(A) @ rng.standard_normal((n, DRAWS))
     for times in REPEATS.tolist():
@@ -149,6 +149,11 @@ def _count_telling(
         if np.mean(np.any(told, axis=0)) >= 0.5:
             return math.ceil((times - 1) * look.samples)
     return None
+
+
+def _narrow(prior: np.ndarray, A: np.ndarray) -> np.ndarray:
+    """The covariance (n, n) of parameters with a prior one, after samples with information A."""
+    return np.asarray(np.linalg.solve(np.eye(len(prior)) + prior @ A, prior))
 
 
 def _root(C: np.ndarray) -> np.ndarray:
