@@ -81,7 +81,7 @@ def buffer_rows(model: Model, problem: str, name: str, given: np.ndarray) -> lis
     rows = []
     for label, f, batch in (
         ("virtual machine", functions.solve, Batch(functions.solve)),
-        ("compiled C", compile_function(functions.solve), Batch(functions.solve, compile=True)),
+        ("compiled C", compile_function(functions.solve), Batch(functions.solve, compile_after=0)),
     ):
         single = Single(f)
         arguments = (given[0], np.zeros(0), k)

@@ -21,6 +21,7 @@ from parallel_cal.base.parallel import count_cores
 log = logging.getLogger(__name__)
 
 BATCH_SIZE = 512  # samples that one call of compiled code takes
+EARLIER = 100  # times fewer samples pay for looking whether compiled code is there
 MIN_SAMPLES_PER_CORE = 10_000  # with fewer samples, another thread costs more than it saves
 # In a larger function the search for common subexpressions takes longer than it saves.
 MAX_INSTRUCTIONS_FOR_CSE = 10_000
@@ -64,17 +65,23 @@ class Batch:
 
     Samples are evaluated in chunks of fixed sizes, in place: nothing is built, copied or converted
     for a new N. Large batches are spread over the cores. Each sample is computed separately, so the
-    result does not depend on N.
+    result does not depend on N. A function is compiled after so many samples (`compile_after`;
+    never if it is None), or loaded much earlier if another process has compiled it.
     """
 
     SIZES = (BATCH_SIZE, 64, 16, 4, 1)
 
-    def __init__(self, function: ca.Function, compile: bool = False):
-        self.function = compile_function(function) if compile else function
-        # One library contains the function for one sample and for BATCH_SIZE samples.
-        self._many = _load_external(function, _map_function(function)) if compile else None
+    def __init__(self, function: ca.Function, compile_after: int | None = None):
+        self.function = function
+        self._many: ca.Function | None = None
         self._chunks: dict[tuple[int, int, tuple[int, ...]], _Chunk] = {}
         self._lock = Lock()
+        self._evaluated = 0
+        if compile_after is None:
+            self._awaited = []
+        else:
+            self._awaited = [(compile_after // EARLIER, False), (compile_after, True)]
+        self._use_machine_code()
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate the samples; each argument is (N, size), or (size,) for all samples."""
@@ -83,6 +90,8 @@ class Batch:
         room = -(-n // self.SIZES[-1]) * self.SIZES[-1]
         out = [np.empty((room, self.function.numel_out(i))) for i in range(self.function.n_out())]
         with self._lock:
+            self._use_machine_code()
+            self._evaluated += n
             cores = min(count_cores(), n // MIN_SAMPLES_PER_CORE)
             if cores < 2:
                 self._evaluate_range(0, given, out, 0, n)
@@ -101,6 +110,17 @@ class Batch:
                     part.result()
         return [array[:n] for array in out]
 
+    def _use_machine_code(self) -> None:
+        """Load or compile the function if enough samples were evaluated."""
+        while self._awaited and self._evaluated >= self._awaited[0][0]:
+            _, may_compile = self._awaited.pop(0)
+            plain, many = self.function, _map_function(self.function)
+            # One library contains the function for one sample and for BATCH_SIZE samples.
+            code = _load_external(plain, plain, may_compile)
+            if code is not plain:
+                self.function, self._many = code, _load_external(plain, many)
+                self._awaited, self._chunks = [], {}
+
     def _evaluate_range(
         self, core: int, given: list[np.ndarray], out: list[np.ndarray], begin: int, end: int
     ) -> None:
@@ -111,7 +131,7 @@ class Batch:
             size = next((s for s in self.SIZES if end - begin >= s), self.SIZES[-1])
             key = core, size, shared
             if key not in self._chunks:
-                if self._many is not None and (size, shared) == (BATCH_SIZE, (f.n_in() - 1,)):
+                if self._many is not None and (size, shared) == (BATCH_SIZE, _shared_by_all(f)):
                     many = self._many
                 else:
                     many = f.map(f"many{size}", "serial", size, list(shared), [])
@@ -158,14 +178,22 @@ def compile_function(function: ca.Function) -> ca.Function:
     return _load_external(function, function)
 
 
+def _shared_by_all(function: ca.Function) -> tuple[int, ...]:
+    """The argument that all samples of a batch share: the last one, of several."""
+    return (function.n_in() - 1,) if function.n_in() > 1 else ()
+
+
 def _map_function(function: ca.Function) -> ca.Function:
-    """Map the function over BATCH_SIZE samples, which share its last argument."""
+    """Map the function over BATCH_SIZE samples."""
     name = f"{function.name()}_many"
-    return function.map(name, "serial", BATCH_SIZE, [function.n_in() - 1], [])
+    return function.map(name, "serial", BATCH_SIZE, list(_shared_by_all(function)), [])
 
 
-def _load_external(function: ca.Function, wanted: ca.Function) -> ca.Function:
-    """Return `wanted` from the compiled library of `function`; unchanged if there is none."""
+def _load_external(
+    function: ca.Function, wanted: ca.Function, may_compile: bool = True
+) -> ca.Function:
+    """Return `wanted` from the compiled library of `function`; unchanged if there is none, and it
+    cannot or may not be compiled."""
     if os.environ.get("PARALLEL_CAL_COMPILE") == "never":
         return wanted
     try:
@@ -173,6 +201,8 @@ def _load_external(function: ca.Function, wanted: ca.Function) -> ca.Function:
         fingerprint = hashlib.sha256(text.encode()).hexdigest()[:32]
         library = cache_folder() / f"{fingerprint}.so"
         if not library.exists():
+            if not may_compile:
+                return wanted
             _compile(function, library)
         return ca.external(wanted.name(), str(library))
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:

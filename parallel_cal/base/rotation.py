@@ -9,6 +9,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+# The cross products with the three unit vectors, as matrices.
+SKEWS = np.array(
+    [
+        [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    ]
+)
+
 
 def rot_x(angle: Any) -> Any:
     """Return the rotation about x by an angle in rad (eq. B.1); shape (3, 3)."""
@@ -49,6 +58,12 @@ def left_generators(R: Any) -> Any:
     """Return d vec(exp(w) R) / dw at w = 0, with row-major vec; shape (9, 3)."""
     columns = [ca.vec((ca.skew(ca.DM(axis)) @ R).T) for axis in np.eye(3)]
     return ca.horzcat(*columns)
+
+
+def compute_left_generators(R: np.ndarray) -> np.ndarray:
+    """Return d vec(exp(w) R) / dw at w = 0 of rotations (N, 3, 3), with row-major vec; shape
+    (N, 9, 3)."""
+    return np.asarray(np.einsum("kij,njm->nimk", SKEWS, R).reshape(len(R), 9, 3))
 
 
 def quaternion_to_matrix(quaternion: np.ndarray | Sequence[float]) -> np.ndarray:

@@ -19,9 +19,6 @@ from parallel_cal.model.model import Model
 from parallel_cal.recordings.transforming import MAX_ROUNDING
 
 BLOCK = 1024  # samples at a time, so that their arrays fit the processor's cache
-MIN_SAMPLES_TO_COMPILE = (
-    50_000  # samples from which compiled code pays, even where the cache does not hold it yet
-)
 MAX_JACOBIAN_BYTES = 1 << 28  # bytes of a Jacobian; a larger one is computed again when needed
 
 Adjust = Callable[[np.ndarray], np.ndarray]
@@ -118,9 +115,7 @@ class Linearisation:
         self._observations, self._model, self._weighted = observations, model, weighted
         self._free = None if np.all(free) else np.flatnonzero(free)  # no copy of all
         s, self._n_free = model.structure, int(np.sum(free))
-        self._batch = (
-            s.rows_compiled if len(observations) >= MIN_SAMPLES_TO_COMPILE else s.rows_batch
-        )
+        self._batch = s.rows_batch
         self._rows = model.structure.rows.shape[0]
         closure = self._closure = s.phi.shape[0]
         # Without a measured pose, no measured quantity moves the readings: their noise is their

@@ -29,11 +29,11 @@ class _Calls:
         self._refine, self._compile = functions.refine, compile
         self.columns, self.tables = functions.columns, Single(functions.tables)
         self.home_sign, self._structure = functions.home_sign, structure
-        self.many = Batch(functions.solve, compile)
+        self.many = Batch(functions.solve, 0 if compile else None)
 
     @cached_property
     def refine(self) -> Batch:
-        return Batch(self._refine, self._compile)
+        return Batch(self._refine, 0 if self._compile else None)
 
     @cached_property
     def change(self) -> Single:

@@ -19,8 +19,11 @@ from parallel_cal.model.effect import CONDITIONS, Effect, Seen
 from parallel_cal.model.machine_class import scale_usual_sizes
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
+from parallel_cal.model.sample_rows import SampleRows
 from parallel_cal.model.sensor import Sensor, apply_sensor_tolerances
 from parallel_cal.model.shelf import load_effect
+
+MIN_SAMPLES_TO_COMPILE = 50_000  # samples after which compiling, a second or two, has paid
 
 
 class Structure:
@@ -211,9 +214,9 @@ class Structure:
         return dense("closure", inputs, (self.phi, *self._slopes(self.phi)))
 
     @cached_property
-    def closure_batch(self) -> Batch:
+    def closure_batch(self) -> SampleRows:
         """`closure` on arrays of samples."""
-        return Batch(self.closure)
+        return SampleRows(self, _column(self.seen))
 
     def jacobians(
         self, x: np.ndarray, a: np.ndarray, v: np.ndarray
@@ -303,50 +306,40 @@ class Structure:
         return ca.vertcat(ca.SX(0, 1), *rows)
 
     @cached_property
-    def rows_function(self) -> ca.Function:
-        """(configuration, a, v) -> rows, d rows/d(q, r, w, u), d rows/dv."""
+    def rows_batch(self) -> SampleRows:
+        """(configuration, a, v) -> rows, d rows/d(q, r, w, u), d rows/dv, on arrays of samples."""
         if not self.sensors:
-            return self.closure
-        inputs = (self.configuration, self.a, self.v)
-        return dense("rows", inputs, (self.rows, *self._row_slopes()))
+            return self.closure_batch
+        seen = self._substitute_platform_pose(_column(self.seen))
+        return SampleRows(self, seen, self._readings_function if self.channels else None)
 
-    def _row_slopes(self) -> tuple[Any, Any]:
-        """`_slopes` of the rows. Where readings follow from points, the derivatives of the points
-        are computed once, not for each reading: this halves the operations of an image."""
+    @property
+    def _readings_function(self) -> ca.Function:
+        """(configuration, a, v) -> readings, and their derivatives. Where readings follow from
+        points, the derivatives of the points are computed once, not for each reading: this halves
+        the operations of an image."""
         r, R = self.platform_pose
-        numbers, phi = Named(self.table.names, self.v), self.phi.shape[0]
-        parts, begin = [self._slopes(self.rows[:phi])], phi
+        numbers, parts = Named(self.table.names, self.v), []
         for sensor in self._with_numbers:
-            end = begin + len(sensor.channels)
+            readings = self._readings(sensor, r, R, numbers)
             is_changed = any(e.acts_on(c) for e in self.effects for c in sensor.channels)
             points = None if is_changed else sensor.points(r, R, numbers[sensor.name])
             if points is None:
-                parts.append(self._slopes(self.rows[begin:end]))
+                parts.append((readings, *self._slopes(readings)))
             else:
                 z = ca.SX.sym("z", points.shape[0])
-                readings = sensor.show(z, numbers[sensor.name])
-                by = ca.jacobian(readings, z), ca.jacobian(readings, self.v)
+                shown = sensor.show(z, numbers[sensor.name])
+                by = ca.jacobian(shown, z), ca.jacobian(shown, self.v)
                 by_points, by_numbers = ca.Function("by", [z, self.v], by)(points, self.v)
                 by_x, by_v = self._slopes(points)
-                parts.append((by_points @ by_x, by_points @ by_v + by_numbers))
-            begin = end
-        by_x, by_v = zip(*parts, strict=True)
-        return ca.vertcat(*by_x), ca.vertcat(*by_v)
-
-    @cached_property
-    def rows_batch(self) -> Batch:
-        """`rows_function` on arrays of samples."""
-        return Batch(self.rows_function) if self.sensors else self.closure_batch
+                parts.append((readings, by_points @ by_x, by_points @ by_v + by_numbers))
+        outputs = [ca.vertcat(*some) for some in zip(*parts, strict=True)]
+        return dense("readings", (self.configuration, self.a, self.v), outputs)
 
     @cached_property
     def residuals(self) -> Batch:
         """(configuration, a, v) -> rows alone, on arrays of samples."""
         return Batch(dense("residuals", (self.configuration, self.a, self.v), (self.rows,)))
-
-    @cached_property
-    def rows_compiled(self) -> Batch:
-        """`rows_function` as machine code; compiling takes a second, which many samples repay."""
-        return Batch(self.rows_function, compile=True)
 
     @lru_cache(maxsize=256)  # noqa: B019  (lives as long as the structure, which is cached itself)
     def columns(self, which: tuple[int, ...]) -> Batch:
@@ -354,14 +347,6 @@ class Structure:
         inputs = (self.configuration, self.a, self.v)
         by_v = ca.jacobian(self.rows, ca.vertcat(*[self.v[i] for i in which]))
         return Batch(dense("columns", inputs, (by_v,)))
-
-    @cached_property
-    def seen_batch(self) -> Batch:
-        """(configuration, a, v) -> inputs of the closure after the effects, as one column: q, r,
-        R9, u and geometry, on arrays of samples."""
-        inputs = (self.configuration, self.a, self.v)
-        column = self._substitute_platform_pose(_column(self.seen))
-        return Batch(dense("seen", inputs, (column,)))
 
     @cached_property
     def ideal(self) -> Structure:
@@ -375,10 +360,12 @@ class Structure:
         return structure_of(self.mechanism, self.effects) if self.sensors else self
 
     @cached_property
-    def seen_jacobian(self) -> Batch:
-        """(q, r, R9, u and geometry) -> d phi/d these, column by column; for an ideal mechanism."""
+    def closure_seen(self) -> Batch:
+        """(q, r, R9, u and geometry) -> phi and d phi/d these, column by column, on arrays; for an
+        ideal mechanism. It is compiled for work that repays it."""
         z = ca.vertcat(self.configuration, self.v)
-        return Batch(dense("by_seen", (z,), (ca.jacobian(self.phi, z),)))
+        function = dense("closure_seen", (z,), (self.phi, ca.jacobian(self.phi, z)))
+        return Batch(function, MIN_SAMPLES_TO_COMPILE)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def effect_jacobian(self, name: str, which: tuple[int, ...]) -> tuple[Batch, np.ndarray]:

@@ -197,13 +197,13 @@ class Scene:
     @cached_property
     def seen(self) -> np.ndarray:
         """q, r, R9, u and geometry as the effects let the closure see them: (N, k)."""
-        return self.model.structure.seen_batch(self.x, self.observations.a, self.model.values)[0]
+        return self.model.structure.rows_batch.see(self.x, self.observations.a, self.model.values)
 
     @cached_property
     def seen_jacobian(self) -> np.ndarray:
         """d rows/d what the closure sees, in noise units: (N, rows, k)."""
         closure = self.model.structure.phi.shape[0]
-        by_seen = self.model.structure.ideal.seen_jacobian(self.seen)[0]
+        by_seen = self.model.structure.ideal.closure_seen(self.seen)[1]
         J = by_seen.reshape(len(self.x), -1, closure).transpose(0, 2, 1)
         J = self.whitener[:, :, :closure] @ J
         return np.ascontiguousarray(J.transpose(2, 1, 0)).transpose(2, 1, 0)  # all of one at a time

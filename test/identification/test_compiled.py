@@ -12,6 +12,7 @@ from parallel_cal.identification import linearisation
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model import structure
 from parallel_cal.model.model import Structure, new_model
 
 STEP = 1e-6  # m and rad
@@ -37,7 +38,7 @@ def samples(model, n):
         configurations(model, n),
         np.tile(1e-8 * np.eye(9), (n, 1, 1)),
         np.ones((n, 9), bool),
-        np.zeros((n, 0)),
+        np.ones((n, len(model.structure.conditions))),
         np.arange(n),
         np.zeros((n, 0)),
         {},
@@ -48,18 +49,32 @@ def linearised(model, observations):
     return Linearisation(model, observations, ~model.fixed, True)(model.values, observations.x)
 
 
-def test_very_many_samples_are_linearised_by_machine_code_with_the_same_result(
+def test_after_many_samples_all_models_of_a_mechanism_share_machine_code_with_the_same_result(
     tmp_path, monkeypatch
 ):
-    model = new_model("delta24")
-    observations = samples(model, 40)
-    before = linearised(model, observations)
+    monkeypatch.setattr(structure, "MIN_SAMPLES_TO_COMPILE", 1000)
+    structure._cached_structure.cache_clear()
+    plain = new_model("delta24")
+    models = [plain, *(plain.with_effect(name) for name in ("backlash", "encoder_gain"))]
+    first = [linearised(model, samples(model, 520)) for model in models[:2]]
     assert not list(tmp_path.rglob("*.so"))
-    monkeypatch.setattr(linearisation, "MIN_SAMPLES_TO_COMPILE", 40)
-    after = linearised(model, observations)
+    again = [linearised(model, samples(model, 520)) for model in models]
     assert len(list(tmp_path.rglob("*.so"))) == 1
-    np.testing.assert_allclose(after.residual, before.residual, rtol=1e-12)
-    np.testing.assert_allclose(after.jacobian, before.jacobian, rtol=1e-12, atol=1e-9)
+    for before, after in zip(first, again, strict=False):
+        np.testing.assert_array_equal(after.residual, before.residual)
+        np.testing.assert_array_equal(after.jacobian, before.jacobian)
+    structure._cached_structure.cache_clear()
+
+
+def test_machine_code_that_is_there_is_taken_long_before_compiling_would_pay(tmp_path):
+    compiled.compile_function(squared())
+    batch = compiled.Batch(squared(), compile_after=1000)
+    given = np.ones((5, 2))
+    kinds = []
+    for _ in range(3):
+        batch(given)
+        kinds.append(batch.function.class_name())
+    assert kinds == ["SXFunction", "SXFunction", "External"]
 
 
 @pytest.mark.parametrize("unturned", [False, True], ids=["all measured", "without orientation"])
@@ -91,13 +106,10 @@ def test_a_jacobian_too_large_to_hold_is_computed_anew_with_the_same_result(untu
 
 def test_without_a_compiler_very_many_samples_take_the_virtual_machine(tmp_path, monkeypatch):
     monkeypatch.setenv("PARALLEL_CAL_COMPILE", "never")
-    model = new_model("delta24", effects=["backlash"])
-    s = Structure(model.mechanism, model.effects)
-    x, a = configurations(model, 5), np.ones((5, 3))
-    for own, machine in zip(
-        s.rows_batch(x, a, model.values), s.rows_compiled(x, a, model.values), strict=True
-    ):
-        np.testing.assert_array_equal(machine, own)
+    batch = compiled.Batch(squared(), compile_after=5)
+    for _ in range(3):
+        np.testing.assert_array_equal(batch(np.full((5, 2), [3.0, 4.0]))[0], [[9.0, 16.0]] * 5)
+    assert batch.function.class_name() == "SXFunction"
     assert not list(tmp_path.rglob("*.so"))
 
 
@@ -147,7 +159,7 @@ def test_a_sample_is_the_same_to_the_last_bit_whatever_is_computed_beside_it(
     one = compiled.Single(compiled.compile_function(function) if compile else function)
     given, known = np.random.default_rng(n).standard_normal((n, 3)), np.array([1.3, -0.2])
     expected = [np.array(out) for out in zip(*(one(row, known) for row in given), strict=True)]
-    batch = compiled.Batch(function, compile)
+    batch = compiled.Batch(function, 0 if compile else None)
     monkeypatch.setattr(compiled, "MIN_SAMPLES_PER_CORE", 100)
     for cores in ("1", "3"):
         monkeypatch.setenv("OMP_NUM_THREADS", cores)
@@ -179,7 +191,7 @@ def test_without_machine_code_the_virtual_machine_is_used(spoiled, tmp_path, mon
     function = compiled.compile_function(squared())
     assert function.class_name() == "SXFunction"
     np.testing.assert_array_equal(np.array(function([3, 4])).ravel(), [9, 16])
-    (many,) = compiled.Batch(squared(), compile=True)(np.full((600, 2), [3.0, 4.0]))
+    (many,) = compiled.Batch(squared(), compile_after=0)(np.full((600, 2), [3.0, 4.0]))
     np.testing.assert_array_equal(many, np.full((600, 2), [9.0, 16.0]))
     assert capfd.readouterr() == ("", "")
 
