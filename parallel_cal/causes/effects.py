@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -55,8 +55,7 @@ def list_effect_blocks(
             continue
         tried = len(settings)
         settings = [known[name]] if known.get(name) else settings
-        a = conditions(plain, scene.dataset)
-        each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
+        each = _yield_columns(scene, plain, settings)
         larger = [*effect.other_kinds(mechanism).values()]
         # About a fitted geometry that is plausible, no number of a drive is grossly wrong.
         if effect.mistaken > 1 and scene.sizes is not None:
@@ -68,16 +67,14 @@ def list_effect_blocks(
         if effect.alike:
             roots.append(_share_among_parts(stated, new))
             tried *= 2
-        usual = [root for root in roots for _ in each]
-        each = [*each, *(one @ root for root in roots[1:] for one in each)]
+        usual = [root for root in roots for _ in settings]
         settings = len(roots) * settings
         if effect.alone and not known.get(name):
             patterns = [f"{name}.{one}" for one in effect.alone]
             own_names = np.array(stated.table.names)[new]
             apart = own[:, [any(fnmatchcase(n, one) for one in patterns) for n in own_names]]
             if apart.size:  # not each machine has them: a drum has no pitch that changes
-                each, settings, tried = [*each, each[0] @ apart], [*settings, {}], tried + 1
-                usual.append(apart)
+                settings, tried, usual = [*settings, {}], tried + 1, [*usual, apart]
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual)
         if block is not None:
@@ -131,7 +128,7 @@ class Scan:
         """The effect with one setting, and the usual sizes of the best."""
         (plain, a), block = self._plain, self.block
         root = block.usual[self.best.setting]
-        own = [compute_effect_columns(self.scene, plain, values, a) @ root]
+        own = [compute_effect_columns(self.scene, plain, values, a)]
         prior, tried = block.log_prior, block.tried
         more = Block.of(self.scene, block.name, EFFECT, prior, own, [values], tried, [root])
         return block if more is None else more
@@ -236,8 +233,7 @@ def choose_setting(
     """The likeliest of the scanned settings of an effect beside no other cause, refined if the
     effect is likelier than none, with the standard deviations of the refined numbers."""
     plain = scene.model.with_effect(name)
-    a = conditions(plain, scene.dataset)
-    each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
+    each = _yield_columns(scene, plain, settings)
     block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings)
     if block is None:  # the geometry imitates it
         return settings[0], {}
@@ -275,6 +271,14 @@ def compute_effect_columns(
     n_conditions); see `columns` for `share`."""
     extended = plain.with_settings(plain.effects[-1].name, settings)
     return columns(extended, scene, find_new_parameters(scene.model, extended), a, share)
+
+
+def _yield_columns(
+    scene: Scene, plain: Model, settings: Iterable[Mapping[str, float]]
+) -> Iterator[np.ndarray]:
+    """Yield the columns of a model's last effect with each of these settings."""
+    a = conditions(plain, scene.dataset)
+    return (compute_effect_columns(scene, plain, one, a, True) for one in settings)
 
 
 def find_new_parameters(before: Model, after: Model) -> np.ndarray:

@@ -79,15 +79,12 @@ def _flat(scene: Scene, J: np.ndarray, functions: np.ndarray) -> np.ndarray:
 
 def _of_each_own(
     scene: Scene, J: np.ndarray, own: np.ndarray, lengths: Sequence[tuple[float, int]]
-) -> list[np.ndarray]:
-    """For each length and number of centres, columns of an error of every joint that is any
+) -> Iterator[np.ndarray]:
+    """Yield for each length and number of centres, columns of an error of every joint that is any
     function of its own value (N, n_joints)."""
-    return [
-        np.hstack(
-            [_flat(scene, J[:, :, [i]], smooth(own[:, i], *one)) for i in range(own.shape[1])]
-        )
-        for one in lengths
-    ]
+    for one in lengths:
+        laws = [_flat(scene, J[:, :, [i]], smooth(own[:, i], *one)) for i in range(own.shape[1])]
+        yield np.hstack(laws)
 
 
 def _principal(B: np.ndarray) -> np.ndarray:
@@ -109,9 +106,9 @@ def _joint_laws(scene: Scene) -> Iterator[Block | None]:
     own = _of_each_own(scene, J, q, OWN_LENGTHS)
     yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
     functions = [smooth(q, length, CENTRES) for length in (0.7, 1.2, 2.5)]
-    whole = [_flat(scene, J, one) for one in functions]
+    whole = (_flat(scene, J, one) for one in functions)
     yield Block.of(scene, "law of all joint readings", LAW, LOG_PRIOR, whole)
-    single = [_flat(scene, J[:, :, [i]], one) for i in range(n) for one in functions]
+    single = (_flat(scene, J[:, :, [i]], one) for i in range(n) for one in functions)
     yield Block.of(scene, "law of one joint", LAW, LOG_PRIOR, single)
 
 
@@ -154,10 +151,10 @@ def _deflections(scene: Scene) -> Iterator[Block | None]:
         return
     share = payload / np.sqrt(np.mean(payload**2))
     J = _pose_jacobian(scene)
-    columns = [
+    columns = (
         _flat(scene, J, share[:, None] * smooth(scene.places, length, CENTRES))
         for length in (0.7, 1.5, 3.0)
-    ]
+    )
     yield Block.of(scene, "deflection under the payload", LAW, LOG_PRIOR, columns)
 
 
@@ -166,9 +163,9 @@ def _fields(scene: Scene) -> Iterator[Block | None]:
     J = scene.measured_jacobian[:, :, n : n + 3]
     if not (scene.shows_pose and J.any()):
         return
-    columns = [
+    columns = (
         _flat(scene, J, smooth(scene.places, length, CENTRES)) for length in (0.4, 0.7, 1.2, 2.5)
-    ]
+    )
     yield Block.of(scene, "field of the device", FIELD, LOG_PRIOR, columns)
 
 
@@ -179,8 +176,8 @@ def _drifts(scene: Scene) -> Iterator[Block | None]:
     order = np.argsort(np.argsort(scene.dataset.time)).astype(float)
     exact = len(scene.residual) <= MAX_EXACT_ROWS
     centres = len(order) if exact else MAX_EXACT_ROWS // J.shape[2]
-    columns = [
+    columns = (
         _principal(_flat(scene, J, smooth(order, length, centres, rough=True)))
         for length in DRIFT_LENGTHS
-    ]
+    )
     yield Block.of(scene, "drifting noise", DRIFT, LOG_PRIOR, columns)

@@ -69,28 +69,37 @@ class Block:
         tried: int | None = None,
         usual: Sequence[np.ndarray] = (),
     ) -> Block | None:
-        """Make a block of columns (n, k) for each setting; None if the geometry imitates it.
+        """Make a block of columns (n, p) for each setting; None if the geometry imitates it.
 
-        The turns of sets with fewer columns than others are padded with zeros, which change no
-        evidence.
+        Where there are more roots (p, k) of `usual` covariances than sets of columns, the sets are
+        taken again in turn. Turns of sets with fewer columns than others are padded with zeros,
+        which change no evidence.
         """
-        B = tuple(scene.project_off_geometry(one) for one in columns)
-        widest = max(one.shape[1] for one in B)
-        squares, turns = np.zeros((len(B), widest)), np.zeros((len(B), widest, widest))
-        onto = np.zeros((len(B), widest))
-        for i, one in enumerate(B):
-            k = one.shape[1]
-            squares[i, :k], turns[i, :k, :k] = np.linalg.eigh(one.T @ one)
-            onto[i] = scene.residual @ one @ turns[i, :k]
+        own, products = list[np.ndarray](), list[tuple[np.ndarray, np.ndarray]]()
+        for one in columns:  # in turn: together they are large
+            own.append(scene.project_off_geometry(one).astype(np.float32))
+            rounded = own[-1].astype(float)
+            products.append((rounded.T @ rounded, scene.residual @ rounded))
+        roots = tuple(usual) or tuple(np.eye(one.shape[1]) for one in own)
+        each = [k % len(own) for k in range(len(roots))]
+        tall, wide = (max(one.shape[axis] for one in roots) for axis in (0, 1))
+        squares, onto = np.zeros((2, len(roots), wide))
+        turns = np.zeros((len(roots), tall, wide))
+        for i, (root, k) in enumerate(zip(roots, each, strict=True)):
+            gram, with_residual = products[k]
+            p, n = root.shape
+            squares[i, :n], rotation = np.linalg.eigh(root.T @ gram @ root)
+            turns[i, :p, :n] = root @ rotation
+            onto[i] = with_residual @ turns[i, :p]
         largest = squares.max(axis=0, initial=0.0)
         if not (largest > NO_COLUMN**2).any():
             return None
-        kept = largest > min(NEGLIGIBLE, largest.max() / 2)
-        given = tuple(settings) or ({},) * len(B)
-        squares = np.maximum(squares[:, kept], 0.0)
-        tried, turns, onto = tried or len(B), turns[:, :, kept], onto[:, kept]
-        roots = tuple(usual) or tuple(np.eye(one.shape[1]) for one in B)
-        return cls(name, kind, log_prior, given, tried, B, turns, squares, onto, roots)
+        counts = largest > min(NEGLIGIBLE, largest.max() / 2)
+        given = tuple(settings) or ({},) * len(roots)
+        squares = np.maximum(squares[:, counts], 0.0)
+        tried, turns, onto = tried or len(roots), turns[:, :, counts], onto[:, counts]
+        shared = tuple(own[k] for k in each)
+        return cls(name, kind, log_prior, given, tried, shared, turns, squares, onto, roots)
 
     @cached_property
     def _turned(self) -> dict[int, np.ndarray]:
@@ -99,16 +108,17 @@ class Block:
     def at(self, setting: int) -> np.ndarray:
         """The orthogonal columns (n, k) of one setting, made once."""
         if setting not in self._turned:
-            B = self.columns[setting]
+            B = self.columns[setting].astype(float)
             self._turned[setting] = B @ self.turns[setting, : B.shape[1]]
         return self._turned[setting]
 
     def times(self, columns: np.ndarray) -> np.ndarray:
         """The products (c, m, k) of other columns (n, c) with those of all settings."""
-        products = [
-            columns.T @ B @ turn[: B.shape[1]]
-            for B, turn in zip(self.columns, self.turns, strict=True)
-        ]
+        known, products = dict[int, np.ndarray](), list[np.ndarray]()
+        for B, turn in zip(self.columns, self.turns, strict=True):
+            if id(B) not in known:
+                known[id(B)] = columns.T @ B.astype(float)
+            products.append(known[id(B)] @ turn[: B.shape[1]])
         return np.stack(products, axis=1)
 
     @cached_property

@@ -41,7 +41,7 @@ def test_a_pitch_that_changes_needs_no_waves_of_the_screw():
     [one] = [one for one in found.chosen if one.block.name == "screw_pitch_error"]
     assert found.probability["screw_pitch_error"] > 0.9
     assert one.block.settings[one.setting] == {}
-    assert one.block.columns[one.setting].shape[1] == len(LEGS)
+    assert one.usual.shape[1] == len(LEGS)
 
 
 def test_a_wave_is_weighed_at_its_peak_not_where_it_was_scanned():
@@ -74,10 +74,12 @@ def test_each_set_of_columns_says_how_large_its_parameters_are():
     names, usual = ["encoder_gain", "screw_pitch_error"], {}
     for block in list_effect_blocks(scene_with_screws(), names, {}):
         usual[block.name] = sorted({float(root.max()) for root in block.usual})
-        for setting, columns, root in zip(block.settings, block.columns, block.usual, strict=True):
+        for k, (setting, root) in enumerate(zip(block.settings, block.usual, strict=True)):
             if setting == {}:
-                expected = block.columns[0] @ root
-                np.testing.assert_allclose(columns, expected, rtol=1e-9, atol=1e-12)
+                assert block.columns[k] is block.columns[0]
+                expected, turned = block.columns[0].astype(float) @ root, block.at(k)
+                tiny = 1e-9 * np.sum(expected**2)
+                np.testing.assert_allclose(turned @ turned.T, expected @ expected.T, atol=tiny)
     assert usual == {"encoder_gain": [1.0, 50.0], "screw_pitch_error": [1.0]}
 
 
