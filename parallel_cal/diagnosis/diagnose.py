@@ -54,7 +54,13 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_MISTRUSTED_SHARE,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
-from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
+from parallel_cal.diagnosis.verdict import (
+    UNEXPLAINED_VERDICTS,
+    Findings,
+    Verdict,
+    judge,
+    leaves_more_than_noise,
+)
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, UnjudgedFit, fit, fit_unjudged
 from parallel_cal.identification.given_model import GivenModel
@@ -234,9 +240,9 @@ class Diagnosis(ShownInNotebook):
             return "unknown"
         if self.verdict.word in ("at_noise", "explained"):
             return "no"
-        after = self.best.fitted.estimate
-        shows = after.chi2_per_dof > self.noise.band(after.dof)[1]
-        shows |= self.structure.has_structure or self.remaining is not None
+        shows = leaves_more_than_noise(
+            self.best.fitted.estimate, self.noise, self.structure, self.remaining
+        )
         return "yes" if shows or not self.effects else "no"
 
     @property

@@ -138,18 +138,19 @@ class Findings:
         return " and ".join(f"({name})" if " or " in name else name for name in names)
 
     @property
+    def leaves_more_than_noise(self) -> bool:
+        return leaves_more_than_noise(
+            self.final_estimate, self.noise, self.structure, self.remaining
+        )
+
+    @property
     def suspected_of_law(self) -> list[str]:
         """Effects found larger than usual, if they leave an error or another effect explains as
         much: then they may only imitate a law that is not in the catalogue."""
         unusual = {one.name for one in self.unusual}
         names = [c.name for c in self.best.chosen if c.name in unusual]
-        after = self.final_estimate
-        leaves = (
-            after.chi2_per_dof > self.noise.band(after.dof)[1]
-            or self.structure.has_structure
-            or self.remaining is not None
-        )
-        return names if leaves or any(self.swaps.get(name) for name in names) else []
+        doubtful = self.leaves_more_than_noise or any(self.swaps.get(name) for name in names)
+        return names if doubtful else []
 
     @property
     def imitating(self) -> list[str]:
@@ -168,6 +169,15 @@ class Findings:
         ratio = ratio_of(self.base, self.best)
         counts = ratio is None or ratio * MAX_SWAP_ERROR_RATIO < 1
         return bool(inside and not (certain and counts))
+
+
+def leaves_more_than_noise(
+    after: Estimate, noise: NoiseLevel, structure: LackOfFit, remaining: RemainingCondition | None
+) -> bool:
+    """Whether the residuals of a fit are too large for the noise, or have a structure that noise
+    has not."""
+    too_large = after.chi2_per_dof > noise.band(after.dof)[1]
+    return too_large or structure.has_structure or remaining is not None
 
 
 def format_effect_names(names: Sequence[str]) -> str:
@@ -307,8 +317,8 @@ def _list_objections(found: Findings) -> list[str]:
         against += _describe_like_drift(found)
     against += _describe_imitated_law(found)
     against += _describe_doubts(found)
-    against += found.outdone
-    against += found.wrong_signs
+    if found.leaves_more_than_noise:  # else no further effect is needed, whatever it would explain
+        against += [*found.outdone, *found.wrong_signs]
     if found.remaining and (found.noise.is_exceeded or chi2 > high):
         against.append(found.remaining.description)
     if structure.has_structure:

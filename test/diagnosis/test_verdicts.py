@@ -10,7 +10,7 @@ import virtual_day as vd
 import virtual_effects_hidden as hidden
 import virtual_findings as vf
 from datasets import JOINTS, measured
-from findings import dataset, sized
+from findings import dataset, hiding, sized
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import candidate
@@ -22,9 +22,11 @@ from parallel_cal.diagnosis.region import Region
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.verdict import (
     QUIETER,
+    Findings,
     _describe_noise_floor,
     _noise,
     format_effect_names,
+    judge,
 )
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import format_distinctly
@@ -204,3 +206,29 @@ def test_a_gear_of_20_teeth_is_not_taken_for_one_of_10(seed):
     sigma = one.sigma["ratio"]
     assert 0.05 < sigma < 0.2
     assert one.settings["ratio"] == pytest.approx(20.0, abs=3 * sigma)
+
+
+def test_what_no_robot_has_is_no_objection_where_nothing_is_left():
+    """Beside an effect that leaves only noise, it does not matter what a lookalike would gain."""
+    data = hiding([vf.KINDS["backlash"]], 1.0, 0)[0]
+    found = diagnose(MODEL, data)
+    assert (found.verdict.word, found.left) == ("explained", "no")
+    words = "hysteresis would explain the error better, but no robot has so much of it"
+    findings = Findings(
+        base=found.base,
+        best=found.best,
+        chi2_before=found.base.fitted.estimate.chi2_per_dof,
+        noise=found.noise,
+        shape=found.noise_shape,
+        structure=found.structure,
+        held=0.0,
+        swaps={},
+        refused=(),
+        robot_or_device=(),
+        outdone=(words,),
+    )
+    assert judge(findings).word == "explained"
+    on_payload = SimpleNamespace(description="the residuals depend on the payload")
+    doubtful = judge(replace(findings, remaining=on_payload))
+    assert doubtful.word == "partly_explained"
+    assert words in doubtful.against
