@@ -21,7 +21,6 @@ from parallel_cal.diagnosis.patterns import (
     find_innocent_samples,
     list_samples_far_from,
 )
-from parallel_cal.diagnosis.search import is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
@@ -96,8 +95,10 @@ class Addition:
         found = acceptance(result, base, f" with '{self.names}'")
         if found.against:
             return found, ()
-        if is_superfluous(with_noise_of(base, result.observations).estimate, result.estimate):
-            return replace(found, against=f"the improvement by '{self.names}' may be chance"), ()
+        if self.probability < 0.5:
+            words = f"the improvement by '{self.names}' is chance rather than an effect"
+            against = f"{words} (probability of an effect {100 * self.probability:.0f} %)"
+            return replace(found, against=against), ()
         if exclude_device(self.scene, self.recorded, self.effects, result.model):
             return found, ()
         doubtful = tuple(find_large_device_effects(result.model))
@@ -107,6 +108,13 @@ class Addition:
         if doubt:
             return replace(found, against=doubt, device_may_err=True), doubtful
         return found, ()
+
+    @cached_property
+    def probability(self) -> float:
+        """How probable it is that the robot has at least one of these effects, if nothing but noise
+        may be in their place."""
+        settings = {one.name: one.settings for one in self.effects}
+        return Causes.of(self.scene, list(settings), settings, ()).sum.search().of_any(settings)
 
     def _find_doubt(self) -> tuple[tuple[str, ...], str]:
         """Find the effects that the other side, robot or device, may cause, and explain why; no

@@ -7,18 +7,14 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 
-import numpy as np
-
-from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.catalogue import Candidate
-from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.identification.checks import (
     ContradictionError,
     WrongSignError,
 )
-from parallel_cal.identification.estimate import Estimate, NoSolutionError
+from parallel_cal.identification.estimate import NoSolutionError
 from parallel_cal.identification.fit import FitResult, UnjudgedFit
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.identification.unusual import describe_by_effect
@@ -209,22 +205,3 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
     if before.result is None or after.result is None:
         return None
     return held_out_ratio(before.result.held_out.summary, after.result.held_out.summary)
-
-
-def is_superfluous(less: Estimate, more: Estimate) -> bool:
-    """Whether the improvement by additional parameters may be chance, by an F test."""
-    if less.dof == more.dof:  # a prior holds all of the additional parameters: at best it is one
-        F = (less.chi2 - more.chi2) / max(more.chi2_per_dof, 1e-300)
-        return bool(log_p_of(max(F, 0.0), 1, max(more.dof, 1)) > np.log(SIGNIFICANCE_LEVEL))
-    if less.dof < more.dof or more.dof <= 0:
-        return False
-    return improvement_log_p(less, more) > np.log(SIGNIFICANCE_LEVEL)
-
-
-def improvement_log_p(less: Estimate, more: Estimate) -> float:
-    """log p of the improvement by additional parameters, by an F test."""
-    q = less.dof - more.dof
-    if q <= 0 or more.dof <= 0:
-        return 0.0
-    F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
-    return float(log_p_of(F, q, more.dof))
