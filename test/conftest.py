@@ -57,6 +57,21 @@ def pytest_collection_modifyitems(config, items):
         sort_by_duration(items)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup():
+    """No node of a fixture that fails is left running: it would load the machine until the end, and
+    answer the tests that follow."""
+    helpers = sys.modules.get("ros_helpers")
+    count = len(helpers.STARTED) if helpers else 0
+    try:
+        return (yield)
+    except BaseException:
+        if helpers:
+            for node in helpers.STARTED[count:]:
+                node.kill()
+        raise
+
+
 sys.path[:0] = map(str, sorted(Path(__file__).parent.glob("*/")))
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
