@@ -28,7 +28,7 @@ def pytest_configure(config):
     if not marks or "not wide" in marks:
         settings.load_profile("quick")
     else:
-        settings.load_profile("wide" if "wide" in marks else "nightly")
+        settings.load_profile("wide" if "wide" in marks or "not slow" in marks else "nightly")
 
 
 def pytest_collection_finish():
@@ -45,10 +45,31 @@ def pytest_ignore_collect(collection_path, config):
     return None if "mark.ros" in collection_path.read_text() else True
 
 
-def pytest_collection_modifyitems(items):
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config, items):
     for path in {item.path for item in items if item.get_closest_marker("ros")}:
         if "mark.ros" not in path.read_text():
             raise pytest.UsageError(f"{path}: `pytest -m ros` would not find a test of mark.ros")
+    yield  # the tests that the marks deselect are gone
+    if hasattr(config, "workerinput"):
+        from longest_first import sort_by_duration
+
+        sort_by_duration(items)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup():
+    """No node of a fixture that fails is left running: it would load the machine until the end, and
+    answer the tests that follow."""
+    helpers = sys.modules.get("ros_helpers")
+    count = len(helpers.STARTED) if helpers else 0
+    try:
+        return (yield)
+    except BaseException:
+        if helpers:
+            for node in helpers.STARTED[count:]:
+                node.kill()
+        raise
 
 
 sys.path[:0] = map(str, sorted(Path(__file__).parent.glob("*/")))

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -62,10 +63,23 @@ def test_a_single_step_shows_what_a_whole_fit_of_one_effect_would_find(play):
 # ------------------------------------------------------------------------- what it says
 
 
+@cache
+def nothing_found(seed):
+    """The diagnosis of a robot without errors beside its geometry."""
+    return diagnose(MODEL, clean(seed))
+
+
+@cache
+def one_kind_found(name):
+    """The diagnosis of a robot that hides one kind of physics: 0.6 sigma of the residual, 150
+    samples."""
+    return diagnose(MODEL, hiding([vf.KINDS[name]], 0.6, seed=1)[0])
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("seed", range(3))
 def test_where_nothing_is_hidden_it_says_stop_looking_and_proposes_nothing(seed):
-    found = diagnose(MODEL, clean(seed))
+    found = nothing_found(seed)
     assert found.verdict.word == "at_noise"
     assert found.effects == ()
     assert "no further effect is needed" in found.verdict.text
@@ -178,12 +192,10 @@ def test_add_accepts_the_effect_that_the_diagnosis_proposes(play):
 @pytest.mark.wide
 @pytest.mark.parametrize("name", vf.KINDS)
 def test_each_kind_of_physics_is_called_by_its_name(name):
-    """0.6 sigma of the residual, 150 samples; bench/truth/find_effects.py draws hundreds."""
-    kind = vf.KINDS[name]
-    data, _ = hiding([kind], 0.6, seed=1)
-    found = diagnose(MODEL, data)
+    """bench/truth/find_effects.py draws hundreds."""
+    found = one_kind_found(name)
     called = {n for e in found.effects for n in (e, *found.swaps.get(e, []))}
-    assert called & set(kind.names)
+    assert called & set(vf.KINDS[name].names)
     assert found.verdict.word == "explained"
     after, floor = found.best.fitted.held_out.summary, found.best.fitted.noise_floor
     # A complete model of 42 numbers does as well on poses it has not seen: 5 % over the noise.
@@ -252,9 +264,9 @@ def test_of_an_effect_and_its_special_case_the_simpler_one_is_named_alone_unless
     def reason(found):
         return entry(found.document(), "strain_wave_compliance")["reason"]
 
-    quiet = diagnose(MODEL, clean(1))
+    quiet = nothing_found(1)
     assert reason(quiet) == "not tested: joint_compliance, a special case of it, explains nothing"
-    line = diagnose(MODEL, hiding([vf.KINDS["joint compliance"]], 0.6, seed=1)[0])
+    line = one_kind_found("joint compliance")
     assert reason(line) == "explains no more than joint_compliance, a special case of it"
     assert "strain_wave_compliance" not in (n for swaps in line.swaps.values() for n in swaps)
     k1 = np.array([800.0, 1000.0, 700.0])
@@ -304,16 +316,18 @@ def test_an_effect_that_the_geometry_absorbs_is_reported_as_not_visible():
     assert "cannot be seen" in row["reason"]
 
 
+@cache
 def all_of_steel_warming_up():
+    """The diagnosis of a robot of steel in a hall that gets warmer evenly."""
     growth = hidden.ThermalGrowth(11.7e-6, 11.7e-6, 11.7e-6)
     day = vd.plan(110, 20, 0, dwell=10.0, air=lambda t: 18 + 0.003 * np.asarray(t))
-    return dataset(vf.samples(day, [growth], vf.FINE, 0), vf.FINE)
+    return diagnose(MODEL, dataset(vf.samples(day, [growth], vf.FINE, 0), vf.FINE))
 
 
 @pytest.mark.wide
 def test_temperature_that_rises_evenly_shows_growth_rather_than_drift():
     """Growth at its usual size explains it; a drift would have to be unusual."""
-    found = diagnose(MODEL, all_of_steel_warming_up())
+    found = all_of_steel_warming_up()
     assert found.effects == ("thermal_expansion",)
     [cause] = found.missing
     assert cause["probability"] > 0.95
@@ -322,7 +336,7 @@ def test_temperature_that_rises_evenly_shows_growth_rather_than_drift():
 
 @pytest.mark.wide
 def test_poses_planned_to_distinguish_two_explanations_do_so():
-    found = diagnose(MODEL, all_of_steel_warming_up())
+    found = all_of_steel_warming_up()
     sets = {name: Chosen(name) for name in ("thermal_expansion", "base_drift")}
     doubt = Undecided.between(found.best, sets)
     seen = found.dataset.conditions

@@ -10,6 +10,7 @@ from threading import Event, Thread
 from parallel_cal.nodes.client import Client, NodeError, Process
 
 LONG = 240.0  # s that anything may take on a busy machine
+STARTED = []  # every NodeProcess of this test process
 
 
 class NodeProcess:
@@ -26,6 +27,11 @@ class NodeProcess:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
             )
+        STARTED.append(self)
+
+    def kill(self):
+        self._process.kill()
+        self._process.wait()
 
     @property
     def said(self):

@@ -1,6 +1,7 @@
 """Where {B} lies after poses in a device's own frame, which do not determine it."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -40,6 +41,13 @@ def measured_by_a_tracker(robot, seed, n=60):
     return Dataset.from_arrays(mechanism.joints, q, seen, seen_R, frame="tracker"), r
 
 
+@cache
+def fitted_before_a_tracker(seed):
+    """A hexapod before a tracker: the samples, and the fit of the drawn one."""
+    data, _ = measured_by_a_tracker(built(seed), seed)
+    return data, fit(drawn(), data, hold_out=0)
+
+
 def base_balls(model):
     numbers = model.table.mapping(model.values)
     return np.array([[numbers[f"leg{i}.C_{c}"] for c in "xyz"] for i in range(1, 7)])
@@ -55,17 +63,14 @@ def tilt(one, other):
 @pytest.mark.parametrize("seed", [1, 4, 6])
 def test_the_identified_base_lies_where_the_drawing_fits_best(seed):
     """It was tilted by 1.3 to 2.7 mrad, as the drawn robot was before the tracker."""
-    robot = built(seed)
-    data, _ = measured_by_a_tracker(robot, seed)
-    found = fit(drawn(), data, hold_out=0).model
+    _, result = fitted_before_a_tracker(seed)
+    found = result.model
     assert tilt(base_balls(drawn()), base_balls(found)) < 0.2e-3
 
 
 @pytest.mark.wide
 def test_a_fit_states_the_change_of_the_poses_in_the_base_and_after_the_best_rigid_motion():
-    robot = built(1)
-    data, _ = measured_by_a_tracker(robot, 1)
-    result = fit(drawn(), data, hold_out=0)
+    data, result = fitted_before_a_tracker(1)
     joints = data.q
     before, after = (Kinematics(m).direct(joints) for m in (drawn(), result.model.robot()))
     motion = result.base_motion

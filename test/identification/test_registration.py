@@ -105,11 +105,16 @@ def far():
     return seen_by_a_tracker(measured(1))
 
 
+@pytest.fixture(scope="module")
+def of_far(far):
+    """The fit to it."""
+    return fit(new_model("delta54"), far)
+
+
 @pytest.mark.wide
-def test_the_errors_before_a_fit_are_those_that_compare_shows(far):
+def test_the_errors_before_a_fit_are_those_that_compare_shows(far, of_far):
     """A fit starts from frames that the robot's free numbers share in: another 0.5 mm off."""
-    model = new_model("delta54")
-    shown, fitted = compare(model, far), fit(model, far)
+    shown, fitted = compare(new_model("delta54"), far), of_far
     assert shown.registration is not None
     assert fitted.document()["before"] == shown.errors.document()
     assert np.array_equal(fitted.before.position, shown.errors.position)
@@ -117,9 +122,8 @@ def test_the_errors_before_a_fit_are_those_that_compare_shows(far):
 
 
 @pytest.mark.wide
-def test_at_held_out_poses_the_model_before_is_registered_by_the_other_poses(far):
-    model = new_model("delta54")
-    fitted = fit(model, far)
+def test_at_held_out_poses_the_model_before_is_registered_by_the_other_poses(far, of_far):
+    model, fitted = new_model("delta54"), of_far
     before = fitted.held_out_before
     for train, test in far.folds(0.25, 0):
         placed, registration = register_device(model, far.select(train))
@@ -131,11 +135,13 @@ def test_at_held_out_poses_the_model_before_is_registered_by_the_other_poses(far
 
 
 @pytest.mark.wide
-def test_an_effect_added_to_a_registered_robot_is_compared_with_the_model_that_compare_shows(far):
+def test_an_effect_added_to_a_registered_robot_is_compared_with_the_model_that_compare_shows(
+    far, of_far
+):
     model = new_model("delta54")
     step = add(model, "backlash", far, force=True)
     assert step.document()["before"] == compare(model, far).errors.document()
-    assert step.document()["held_out"]["before"] == fit(model, far).document()["held_out"]["before"]
+    assert step.document()["held_out"]["before"] == of_far.document()["held_out"]["before"]
 
 
 @pytest.mark.wide
@@ -162,10 +168,9 @@ def test_a_campaign_s_error_before_is_that_of_the_model_registered_by_the_sample
 
 
 @pytest.mark.wide
-def test_report_and_fleet_show_the_registered_model_before_at_held_out_poses(far):
-    model = new_model("delta54")
-    found = diagnose(model, far, effects=("backlash",))
-    expected = fit(model, far).held_out_before.summary
+def test_report_and_fleet_show_the_registered_model_before_at_held_out_poses(far, of_far):
+    found = diagnose(new_model("delta54"), far, effects=("backlash",))
+    expected = of_far.held_out_before.summary
     assert HeldOutErrors.of(found).before == expected
     assert fleet_judging._make_row(found)["before"] == expected
 

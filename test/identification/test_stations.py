@@ -1,6 +1,7 @@
 """Recordings of one robot between which the tracker, or its target, was set up anew."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -43,6 +44,12 @@ def recorded(tracker, seed, pose=False, robot=None, n=40):
 
 def joined(*trackers, **options):
     return join_datasets([recorded(t, seed, **options) for seed, t in enumerate(trackers)])
+
+
+@cache
+def known_of_first():
+    """The model that one recording before the first station gives."""
+    return fit(nominal("ur5"), recorded(FIRST, 0), hold_out=0).model
 
 
 def rms(errors):
@@ -138,7 +145,7 @@ def test_an_effect_is_found_and_added_at_two_stations_and_the_file_keeps_the_rob
 
 @pytest.mark.parametrize("move", [1e-3, 0.22])
 def test_a_fitted_model_on_a_second_station_is_registered_and_says_how_far_it_moved(move):
-    known = fit(nominal("ur5"), recorded(FIRST, 0), hold_out=0).model
+    known = known_of_first()
     elsewhere = replace(FIRST, shift=tuple(np.add(FIRST.shift, [move, 0.0, 0.0])))
     shown = compare(known, recorded(elsewhere, 3))
     assert rms(shown.given.errors_as_given) == pytest.approx(move, rel=0.1)
@@ -148,7 +155,7 @@ def test_a_fitted_model_on_a_second_station_is_registered_and_says_how_far_it_mo
 
 
 def test_a_new_station_keeps_the_covariance_of_the_robot():
-    known = fit(nominal("ur5"), recorded(FIRST, 0), hold_out=0).model
+    known = known_of_first()
     placed = compare(known, recorded(SECOND, 3)).model
     assert np.array_equal(placed.covariance, known.covariance)
     data = recorded(SECOND, 3)
@@ -158,7 +165,7 @@ def test_a_new_station_keeps_the_covariance_of_the_robot():
 
 
 def test_a_fitted_model_on_its_own_station_is_not_registered_again():
-    known = fit(nominal("ur5"), recorded(FIRST, 0), hold_out=0).model
+    known = known_of_first()
     shown = compare(known, recorded(FIRST, 3))
     assert shown.registration is None
     assert shown.errors is shown.given.errors_as_given

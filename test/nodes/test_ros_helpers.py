@@ -1,0 +1,24 @@
+"""What the tests of nodes start does not outlive them."""
+
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from conftest import pytest_fixture_setup  # noqa: E402 - after the check that rclpy is there
+from ros_helpers import NodeProcess  # noqa: E402
+
+
+def test_a_fixture_that_fails_leaves_none_of_its_nodes_running(tmp_path):
+    """Such nodes loaded the machine until the end, and answered the tests that followed."""
+    before = NodeProcess("replay_node", tmp_path, "/before")
+    try:
+        setup = pytest_fixture_setup()
+        next(setup)
+        left = NodeProcess("replay_node", tmp_path, "/left")
+        with pytest.raises(TimeoutError):
+            setup.throw(TimeoutError())
+        assert left.ended(patience=0) != 0
+        assert before._process.poll() is None
+    finally:
+        before.kill()
