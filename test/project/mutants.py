@@ -96,7 +96,7 @@ MUTANTS = (
     ),
     Mutant(
         "model/structure.py",
-        "        return self.phi if beyond is None else self.phi + beyond\n",
+        "        return self.phi + self.beyond\n",
         "        return self.phi\n",
         "a wrist with open loops is a solution",
         "test_redundant_loops.py",
