@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from parallel_cal.cli.tables import Answer
+    from parallel_cal.kinematics.answers import Differences
     from parallel_cal.kinematics.kinematics import Solutions
     from parallel_cal.model.model import Model
 
@@ -131,25 +132,24 @@ def inverse(
 
     from parallel_cal.cli.tables import inverse_table
     from parallel_cal.kinematics import answers, solving
-    from parallel_cal.model.mechanism import POSE
 
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
         answer = inverse_table(robot, table, conditions, solver, covariance)
         _warn_outside_region(answer.found, robot, answer.conditions)
+        if answer.differences is not None:
+            console.warn(answer.differences.describe(robot.mechanism))
         return _output_table(answer, output, as_json)
     r = np.array(robot.mechanism.home.position if place is None else place)
     R = None if quaternion is None else answers.parse_rotation(quaternion)
-    # The orientation of a Delta, for example, follows from its position.
-    axes = {"position": (place, POSE[:3]), "orientation": (quaternion, POSE[3:])}
-    console.warn(
-        f"{robot.mechanism.name} does not control its {kind}: the given {kind} is ignored"
-        for kind, (values, names) in axes.items()
-        if values is not None and not {*names} & {*robot.mechanism.controls}
-    )
     found = solving.inverse(robot, r, R, conditions, every, solver)
+    given = None if place is None else r, R
+    home_branch = answers.Differences.of(found[:1], *given)
+    console.warn(home_branch.describe(robot.mechanism))
     known = answers.inverse_covariances(robot, found, conditions) if covariance else None
-    _print_solutions(found, robot, conditions, known, partial(_joint_sigma, robot), as_json)
+    words = partial(_joint_sigma, robot)
+    apart = answers.Differences.of(found, *given)
+    _print_solutions(found, robot, conditions, known, words, as_json, differences=apart)
 
 
 def _numbers(text: str | None, option: str, n: int | None = None) -> list[float] | None:
@@ -208,11 +208,12 @@ def _print_solutions(
     words: Callable[[np.ndarray], str],
     as_json: bool,
     explained: np.ndarray | None = None,
+    differences: Differences | None = None,
 ) -> None:
     from parallel_cal.kinematics.answers import to_rows
 
     _warn_outside_region(solutions, model, conditions)
-    rows = to_rows(solutions, covariances, explained)
+    rows = to_rows(solutions, covariances, explained, differences)
     if as_json:
         about = {key: getattr(solutions, key) for key in ("count_complex", "complete")}
         known = {key: value for key, value in about.items() if value is not None}
@@ -275,7 +276,8 @@ def _output_table(answer: Answer, output: Path | None, as_json: bool) -> None:
     said = {} if found.message is None else {"message": found.message}
     summary = "; ".join([summary, *said.values()])
     if as_json and output is None:
-        console.emit({"solutions": to_rows(found, answer.covariances, answer.explained), **said})
+        rows = to_rows(found, answer.covariances, answer.explained, answer.differences)
+        console.emit({"solutions": rows, **said})
     elif as_json:
         console.emit({"output": str(output), "rows": len(found), "statuses": statuses, **said})
     elif output is None:

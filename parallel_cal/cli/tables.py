@@ -16,6 +16,7 @@ from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.base.units import CONDITION_UNITS, UNITS
 from parallel_cal.kinematics.answers import (
+    Differences,
     direct_covariances,
     explained_residuals,
     inverse_covariances,
@@ -116,14 +117,15 @@ def _is_condition(model: Model, name: str) -> bool:
 
 class Answer(NamedTuple):
     """The solutions of a table: as CSV, as numbers with their covariances (N, n, n) if these were
-    asked for, the conditions of its rows, and the explained residuals (N,) of a robot with more
-    joints than freedoms."""
+    asked for, the conditions of its rows, the explained residuals (N,) of a robot with more joints
+    than freedoms, and the differences of an inverse problem's solutions from the given poses."""
 
     text: str
     found: Solutions
     covariances: np.ndarray | None
     conditions: Conditions
     explained: np.ndarray | None = None
+    differences: Differences | None = None
 
 
 def direct_table(
@@ -174,7 +176,8 @@ def inverse_table(
         found = _insert_solutions(found, some, good)
     known = inverse_covariances(model, found, conditions) if covariance else None
     text = _text(table.table, model.joints, found.joints, found, model.joints, known)
-    return Answer(text, found, known, conditions)
+    differences = Differences.of(found, r if "x" in table.header else None, R)
+    return Answer(text, found, known, conditions, differences=differences)
 
 
 def _find_finite_rows(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.base.units import DEGREE
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.solutions import MAX_CLOSED_RESIDUAL_M
 from parallel_cal.model.effect import CONDITIONS, parse_lag, parse_part
+from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 
 
@@ -125,6 +128,63 @@ def describe_disagreement(found: Solutions, explained: np.ndarray | None) -> str
     )
 
 
+# m or rad; more than the rounding of a pose that the command line printed.
+MAX_ROUNDED = 1e-6
+
+
+@dataclass(frozen=True)
+class Differences:
+    """How far the solutions of an inverse problem are from the given poses, in coordinates that the
+    robot does not control: the distances of the positions (N,) m, and the angles between the
+    orientations (N,) rad; NaN for a sample without a solution. None of what was not given."""
+
+    position: np.ndarray | None
+    orientation: np.ndarray | None
+
+    @classmethod
+    def of(cls, found: Solutions, r: np.ndarray | None, R: np.ndarray | None) -> Differences:
+        """Compare solutions with positions (3,) or (N, 3), and rotations (3, 3) or (N, 3, 3)."""
+        r_, R_ = np.zeros(3) if r is None else r, np.eye(3) if R is None else R
+        position, orientation = (
+            np.atleast_1d(np.where(found.solved, size, np.nan))
+            for size in found.distance_from(r_, R_)
+        )
+        return cls(None if r is None else position, None if R is None else orientation)
+
+    def describe(self, mechanism: Mechanism) -> Iterator[str]:
+        """Describe what the solutions do not meet, a sentence for position and orientation each."""
+        parts = (
+            ("position", self.position, POSE[:3], 1e3, "mm"),
+            ("orientation", self.orientation, POSE[3:], 1 / DEGREE, "deg"),
+        )
+        for kind, size, names, factor, unit in parts:
+            free = [name for name in names if name not in mechanism.controls]
+            if size is None or not free:
+                continue
+            with np.errstate(invalid="ignore"):
+                off = np.flatnonzero(size > MAX_ROUNDED)
+            if not len(off):
+                continue
+            which = " ".join(free) if len(free) < len(names) else f"its {kind}"
+            worst = int(off[np.argmax(size[off])])
+            row = f" in {len(off)} of {len(size)} rows, most in row {worst + 1}:"
+            yield (
+                f"{mechanism.name} does not control {which}:{row if len(size) > 1 else ''} the "
+                f"solution is {factor * size[worst]:.4g} {unit} from the given {kind}"
+            )
+
+
+def describe_missed(mechanism: Mechanism, found: Solutions, r: np.ndarray, R: np.ndarray) -> str:
+    """Describe how far a solution is from a target that needs numbers for all of a pose.
+
+    A position or an orientation of which the robot controls nothing is not compared: any one stands
+    for none there.
+    """
+    turned = {i >= 3 for i in mechanism.controlled}
+    apart = Differences.of(found, r if False in turned else None, R if True in turned else None)
+    return "; ".join(apart.describe(mechanism))
+
+
 def _of_solved(
     compute: Callable[[Solutions, Mapping[str, Any]], np.ndarray],
     found: Solutions,
@@ -152,9 +212,10 @@ def to_rows(
     solutions: Solutions,
     covariances: np.ndarray | None = None,
     explained: np.ndarray | None = None,
+    differences: Differences | None = None,
 ) -> list[dict[str, Any]]:
-    """Convert solutions, and their covariances and explained residuals if these are known, to
-    dictionaries with the keys of the command line's JSON documents."""
+    """Convert solutions, and their covariances, explained residuals and differences if these are
+    known, to dictionaries with the keys of the command line's JSON documents."""
     rows: list[dict[str, Any]] = [
         {
             "position": s.position,
@@ -173,6 +234,9 @@ def to_rows(
     if explained is not None:
         for row, size in zip(rows, explained, strict=True):
             row["explained_residual"] = size
+    for kind, sizes in () if differences is None else vars(differences).items():
+        for row, size in zip(rows, () if sizes is None else sizes, strict=sizes is not None):
+            row[f"{kind}_difference"] = size
     return rows
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.rotation import matrix_to_quaternion
+from parallel_cal.base.rotation import matrix_to_quaternion, rotation_vector
 from parallel_cal.model.configuration import NO_PASSIVE, Configuration
 
 if TYPE_CHECKING:
@@ -143,6 +143,40 @@ class Solutions:
     def ok(self) -> np.ndarray:
         """Which rows converged inside the joint limits, at regular poses."""
         return self.status == Status.CONVERGED
+
+    def distance_from(
+        self, position: np.ndarray, rotation: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Compute how far the platforms are from poses, such as those given to `inverse`.
+
+        `inverse` meets the coordinates that the robot controls. The others follow from them, and
+        may differ from the given ones.
+
+        Parameters
+        ----------
+        position : array (3,) or (N, 3)
+            Positions of {P} in {B}, m.
+        rotation : array (3, 3) or (N, 3, 3)
+            Orientations of {P} in {B}, as matrices.
+
+        Returns
+        -------
+        distance, angle : arrays () or (N,)
+            Distance of the positions, m, and angle between the orientations, rad; NaN for a sample
+            without a solution.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import parallel_cal as pc
+        >>> found = pc.Kinematics(pc.new_model("delta24")).direct([0.5, 0.5, 0.5])
+        >>> distance, angle = found.distance_from([0.0, 0.0, 0.2], np.eye(3))
+        >>> round(float(distance), 4), float(angle)
+        (0.0, 0.0)
+        """
+        turn = rotation_vector(self.rotation @ np.swapaxes(rotation, -1, -2))
+        distance = np.linalg.norm(self.position - position, axis=-1)
+        return np.asarray(distance), np.asarray(np.linalg.norm(turn, axis=-1))
 
 
 def make_unsolved(

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import casadi as ca
 import numpy as np
@@ -19,7 +20,13 @@ STEPS = 60  # of Newton's method, damped
 LARGEST_STEP = 0.4  # lengths or rad: of one step
 AMPLITUDES = (0.05, 0.3, 0.8)  # rad, or shares of the length, by which the joints are moved
 TRIES = 30  # random starts from which the loops are closed
-CLEARLY_BETTER = 1.2  # times the regularity: of less, no further step is made
+CLEARLY_BETTER = 1.2  # times: of less, no further step is made, and no usual choice is changed
+PATHS, PATH_STEPS = 16, 6  # over the range of the joints, each from home
+MIN_MOTION = 1e-3  # of the largest one: of less, the platform does not move in a way
+MIN_SAME_MODE = 0.3  # cosine between neighbouring motions; less is a jump to another mode
+# Of the best share. `length` is 0.3 times the farthest joint, so turns have a share of 0.28 even at
+# the end of a foot as long as the robot.
+MIN_SHARE_OF_BEST = 0.25
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,28 @@ class Survey:
             if regular[best] <= CLEARLY_BETTER * regular[0]:
                 return x
             x = near[best]
+
+    def walk(self, home: np.ndarray, limits: np.ndarray) -> list[np.ndarray]:
+        """Return paths of closed configurations from home over the range of the joints, the same in
+        each call; a path ends where the loops no longer close.
+
+        `limits` (nq, 2) are those of the readings. A joint moves by half a turn, or by as many
+        lengths, at most.
+        """
+        rng, n, paths = np.random.default_rng(0), self.n_joints, list[np.ndarray]()
+        most = np.pi * self.length / self.scale[:n]
+        low, high = (np.clip(end, home[:n] - most, home[:n] + most) for end in limits.T)
+        for end in rng.uniform(low, high, (PATHS, n)):
+            path = [home]
+            for share in np.linspace(0, 1, PATH_STEPS + 1)[1:]:
+                moved = path[-1].copy()
+                moved[:n] = home[:n] + share * (end - home[:n])
+                closed, left = self.close(moved, range(n, len(self.scale)))
+                if np.linalg.norm(left) > self.closed:
+                    break
+                path.append(closed)
+            paths.append(np.array(path))
+        return paths
 
     def around(self, home: np.ndarray, count: int, spread: np.ndarray) -> np.ndarray:
         """Return closed configurations (at most `count`) near home, the same in each call;
@@ -237,16 +266,19 @@ class Motion:
                 moves.append(i)
         return sorted(moves)
 
-    def find_controls(self, moves: Sequence[int]) -> list[int]:
-        """Return the first of these coordinates that change independently at home, and if there
-        the joints move the platform in fewer ways than elsewhere, at other configurations."""
-        chosen = list[int]()
+    @cached_property
+    def platform(self) -> list[np.ndarray]:
+        """Orthonormal bases (6, n) of the platform's motions, at each configuration."""
+        found = []
         for T in self.tangents:
-            for i in moves if len(chosen) < self.freedoms else ():
-                rows = T[[self.n_joints + k for k in (*chosen, i)]]
-                if i not in chosen and _rank(rows, 1e-3) == len(rows):
-                    chosen.append(i)
-        return sorted(chosen)
+            basis, sizes, _ = np.linalg.svd(T[self.n_joints : self.n_joints + 6])
+            found.append(basis[:, : int(np.sum(sizes > MIN_MOTION * sizes.max(initial=1e-300)))])
+        return found
+
+    @property
+    def independent(self) -> int:
+        """Number of independent motions of the platform; a singular pose may have fewer or more."""
+        return min(max(basis.shape[1] for basis in self.platform), self.freedoms)
 
     def find_rows(self) -> np.ndarray | None:
         """Return a matrix (n_kept, m) that makes the independent rows of all rows, in metres; None
@@ -335,6 +367,48 @@ class Motion:
             U, A = kept @ J[:, list(passive)], kept @ J_p * tolerance
             parts.append(A - U @ (np.linalg.pinv(U, rcond=self.least_rank) @ A))
         return np.concatenate(parts)
+
+
+def find_controls(paths: Sequence[Motion], count: int) -> list[int]:
+    """Return `count` coordinates of the pose that determine the platform over the range of the
+    joints.
+
+    `paths` are motions along paths from home. The share of some coordinates at a configuration is
+    the least part that they have in a motion of the platform: 1 if it moves in these coordinates
+    alone, 0 where one of them has a maximum. Beyond that, where their determinant has the other
+    sign, two poses have the same coordinates: the share is 0. The least share on the path from home
+    counts, and its mean over all configurations is compared.
+
+    Of coordinates that determine the platform well, turns alone are the usual choice, as of an
+    ankle or a wrist, then those with the most positions, in their order.
+    """
+    choices = list(combinations(paths[0].moves, count))
+    rows, share = np.array(choices, dtype=int), np.zeros(len(choices))
+    for motion in paths:
+        before = least = np.zeros(0)
+        for basis in motion.platform:
+            if basis.shape[1] != count:  # a singular one, such as a stretched wrist
+                continue
+            volume = np.linalg.det(basis[rows])
+            size = np.linalg.svd(basis[rows], compute_uv=False).min(axis=1, initial=1.0)
+            if not before.size:
+                first, least = np.sign(volume), size
+            elif abs(same := volume @ before) < MIN_SAME_MODE:
+                break
+            else:
+                volume *= np.sign(same)
+                least = np.where(volume * first > 0, np.minimum(least, size), 0.0)
+            before, share = volume, share + least
+    able = [k for k in range(len(choices)) if share[k] >= MIN_SHARE_OF_BEST * share.max()]
+
+    def count_positions(k: int) -> int:
+        positions = sum(i < 3 for i in choices[k])
+        return positions or 4  # turns alone come first
+
+    most = max(map(count_positions, able))
+    usual = [k for k in able if count_positions(k) == most]
+    best = next(k for k in usual if CLEARLY_BETTER * share[k] >= share[usual].max())
+    return list(choices[best])
 
 
 def _rank(J: np.ndarray, least: float) -> int:

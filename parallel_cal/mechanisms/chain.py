@@ -26,7 +26,7 @@ from parallel_cal.mechanisms._chain_bodies import (
     with_lengths,
 )
 from parallel_cal.mechanisms._chain_drawing import draw
-from parallel_cal.mechanisms._chain_rank import CLOSED, TRIES, Motion, Survey
+from parallel_cal.mechanisms._chain_rank import CLOSED, TRIES, Motion, Survey, find_controls
 from parallel_cal.mechanisms._chain_reading import (
     Entry,
     Frame,
@@ -73,7 +73,8 @@ class Chain(Mechanism):
       or distance), and its ends `a` and `b`: `body`, `point` and, if necessary, `axis` or
       `quaternion`. A distance is a rod with two balls: `length`, and `driven`, `home` and `limits`
       if it is an actuator.
-    - `moves`, `controls`: coordinates of the platform. Default: found by rank.
+    - `moves`, `controls`: coordinates of the platform. Default: found by rank, and those that
+      determine the platform best over the range of the joints.
     - `home`: `position` and `quaternion` of {P} near which the loops close. Default: that of the
       joints at home.
     - `workspace`: `low` and `high` of the controlled coordinates. Default: around home.
@@ -128,7 +129,7 @@ class Chain(Mechanism):
         tolerance = {"m": self._length_tolerance, "rad": float(angle_tolerance)}
         self.parameters = ParameterTable(self.skeleton.parameters(self._target_rows(), tolerance))
         self._combine: np.ndarray | None = None
-        self._by_least_squares = False
+        self._by_least_squares, self._chose_controls = False, False
         self._open: float | None = None  # m; redundant loops that are stated with few digits
         self._analyse(guess, moves, controls, workspace)
         self.bodies = {"links": [p.name for p in self.parameters if p.unit == "m"]}
@@ -355,8 +356,6 @@ class Chain(Mechanism):
         if stated is None:
             loops = [k for k, owner in enumerate(self._owners()) if owner != PLATFORM]
             self.moves = tuple(POSE[i] for i in motion.find_moves(loops))
-        given = None if controls is None else read_coordinates("controls", controls)
-        self.controls = tuple(given or [POSE[i] for i in motion.find_controls(self.moved)])
         if (loose := motion.find_loose()).size:
             first = len(self.joints) + len(POSE)
             most = self.passive[int(np.argmax(np.abs(loose[first:, 0])))] if self.passive else ""
@@ -373,6 +372,12 @@ class Chain(Mechanism):
                 "the chain is singular at home: two assembly modes meet there. It is regular at",
                 singular=True,
             )
+        if controls is not None:
+            self.controls = tuple(read_coordinates("controls", controls))
+        elif motion.independent == len(self.moves):
+            self.controls = self.moves
+        else:
+            self._choose_controls(survey, home, motion.independent)
         self._set_home(x, stated is not None)
         self._set_workspace(x, workspace)
         self._choose_rows_and_parameters(home)
@@ -466,6 +471,32 @@ class Chain(Mechanism):
         points = [np.array(ca.DM(point)).ravel() for line in lines for point in line.points]
         reach = max((float(np.linalg.norm(point)) for point in [*points, x.r]), default=0.0)
         return round(0.3 * reach, 6) or 0.1
+
+    def _choose_controls(self, survey: Survey, home: np.ndarray, count: int) -> None:
+        """Choose as many coordinates as the platform has motions, and make them an option, so that
+        a model file states what its workspace is about."""
+        paths = survey.walk(home, np.array(self.joint_limits))
+        found = find_controls([Motion.of(survey, path, self.moved) for path in paths], count)
+        self.controls = tuple(POSE[i] for i in found)
+        self.options = {"controls": list(self.controls)}
+        self._chose_controls = True
+
+    def complete_workspace(self, workspace: Workspace) -> Workspace:
+        """Return the workspace of a model file.
+
+        Files of earlier releases do not state its coordinates. ModelError if they seem to be others
+        than those that are chosen now.
+        """
+        home = np.array([*self.home.position, *self.home.rotation_vector])[self.controlled]
+        inside = (np.array(workspace.low) <= home) & (home <= np.array(workspace.high))
+        if self._chose_controls and not inside.all():
+            raise ModelError(
+                f"home, {', '.join(self.controls)} = {', '.join(f'{v:.4g}' for v in home)}, is "
+                "outside, and the options do not state which coordinates these are, as those of an "
+                "earlier release: state the controls in the options, such as controls: [x, y], or "
+                "delete the workspace"
+            )
+        return workspace
 
     def _set_home(self, x: np.ndarray, stated: bool) -> None:
         """Set home. If the stated moves contain no turn of a platform that does turn, its

@@ -77,7 +77,7 @@ def load_mechanism(name: str, /, **options: Any) -> Mechanism:
         check(mechanism)
     except Exception as error:
         raise wrap_plugin_error(name, error) from error
-    mechanism.options = options
+    mechanism.options = {**options, **mechanism.options}  # and those that it has chosen itself
     return mechanism
 
 

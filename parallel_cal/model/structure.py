@@ -121,12 +121,17 @@ class Structure:
         return self._check_closure(phi)
 
     @cached_property
+    def beyond(self) -> Any:
+        """How far (m) a configuration is out of the robot's reach although its closure is zero."""
+        m, seen = self.mechanism, self.seen
+        found = m.overstretch(*m.arguments(seen.q, seen.u, seen.r, seen.R, seen.p))
+        return ca.SX(0) if found is None else found
+
+    @cached_property
     def residual(self) -> Any:
         """The rows whose norm is the residual: the closure, and where it is zero out of the robot's
         reach, how far (m)."""
-        m, seen = self.mechanism, self.seen
-        beyond = m.overstretch(*m.arguments(seen.q, seen.u, seen.r, seen.R, seen.p))
-        return self.phi if beyond is None else self.phi + beyond
+        return self.phi + self.beyond
 
     @cached_property
     def residual_batch(self) -> Batch:

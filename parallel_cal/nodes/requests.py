@@ -14,6 +14,8 @@ from parallel_cal_msgs.msg import Solution, SolutionSet
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.worker import TimeBudgetExceeded, Worker, WorkError
+from parallel_cal.kinematics.answers import describe_missed
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.nodes import computing
 from parallel_cal.nodes.computing import Answer, Problems
 from parallel_cal.nodes.conversions import (
@@ -127,7 +129,7 @@ def _solve_rows(
         except TimeBudgetExceeded:
             over = True
     found = iter(done)
-    sets = [_make_set(row, found) for row in given[: budget.poses]]
+    sets = [_make_set(row, found, served.model.mechanism) for row in given[: budget.poses]]
     late = SolutionSet(solutions=[_NOT_TRIED], count_complex=-1)
     sets += [late] * (len(given) - len(sets))
     solved = sum(one is not late and one.solutions[0] is not _NOT_TRIED for one in sets)
@@ -135,16 +137,20 @@ def _solve_rows(
     return sets, f"over budget: {solved} of {len(given)} were answered; {limits}" if over else ""
 
 
-def _make_set(row: Rows | str, found: Iterator[Answer]) -> SolutionSet:
+def _make_set(row: Rows | str, answers: Iterator[Answer], mechanism: Mechanism) -> SolutionSet:
     if isinstance(row, str):
         return SolutionSet(solutions=[invalid_solution(row)], count_complex=-1)
-    answer = next(found, None)
+    answer = next(answers, None)
     if answer is None:
         return SolutionSet(solutions=[_NOT_TRIED], count_complex=-1)
     messages = solution_messages(answer.found)
     for message, covariance in zip(messages, answer.covariances, strict=True):
         if covariance is not None:
             message.covariance = array("d", covariance.tobytes())
+    if len(row) == 2:  # a pose
+        found = [answer.found] if answer.found.joints.ndim == 1 else answer.found
+        for message, solution in zip(messages, found, strict=True):
+            message.message = message.message or describe_missed(mechanism, solution, *row)
     count = answer.found.count_complex
     return SolutionSet(
         solutions=messages,

@@ -357,9 +357,35 @@ def test_an_orientation_that_follows_from_the_position_does_not_choose_the_branc
     expected = document(*flipped[:6])
     for solver in ("newton", "fixed_newton"):
         turned, plain = (document(*c, "--solver", solver) for c in (flipped, flipped[:6]))
+        assert turned["solutions"][0].pop("orientation_difference") == pytest.approx(np.pi, abs=0.1)
         assert turned == plain
         assert turned["solutions"][0]["joints"] == pytest.approx(expected["solutions"][0]["joints"])
     assert "delta54 does not control its orientation" in run(*flipped, "--json")[2]
+
+
+def test_an_orientation_that_the_robot_has_is_no_reason_for_a_warning(run, document):
+    pose = document("direct", DELTA24, "--joints", -0.1, 0.1, 0.2)["solutions"][0]
+    asked = ("inverse", DELTA24, "--position", *pose["position"], "--orientation", 0, 0, 0, 1)
+    code, out, err = run(*asked, "--json")
+    (found,) = json.loads(out)["solutions"]
+    assert (code, err) == (0, "")
+    assert found["orientation_difference"] == 0.0
+    assert found["position_difference"] < 1e-12
+
+
+def test_a_height_that_a_plane_robot_does_not_have_is_said_with_its_size(run, tmp_path):
+    robot, table = tmp_path / "plane.yaml", tmp_path / "poses.csv"
+    write_model(new_model("five_bar"), robot)
+    x, y, _ = new_model("five_bar").mechanism.home.position
+    expected = "five_bar does not control z: "
+    code, out, err = run("inverse", robot, "--position", x, y, 0.005, "--json")
+    assert json.loads(out)["solutions"][0]["position_difference"] == pytest.approx(0.005, abs=1e-9)
+    assert f"{expected}the solution is 5 mm from the given position" in err
+    table.write_text(f"x,y,z\n{x},{y},0\n{x},{y},0.002\n{x},{y},-0.003\n")
+    code, out, err = run("inverse", robot, "--input", table, "--json")
+    sizes = [row["position_difference"] for row in json.loads(out)["solutions"]]
+    assert (code, sizes) == (0, pytest.approx([0, 0.002, 0.003], abs=1e-9))
+    assert f"{expected}in 2 of 3 rows, most in row 3: the solution is 3 mm from" in err
 
 
 def test_numbers_may_be_negative_in_exponents_and_with_commas_and_options_may_come_first(document):

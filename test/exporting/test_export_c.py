@@ -160,6 +160,42 @@ def test_a_platform_on_eight_lines_agrees_with_python_within_the_limit_of_its_co
     assert "beyond_limit 1" in done.stdout
 
 
+@pytest.mark.wide
+def test_redundant_loops_that_are_open_are_out_of_reach_in_c_too(tmp_path):
+    """The squares of the gaps have extrema where the loops are open by centimetres. The elbow is as
+    far from the rocker's axis as the law of cosines of the sphere says; coupler and rocker reach it
+    between the difference and the sum of their angles."""
+    given, (motor, elbow, ball, hinge) = chains.spherical_four_bar()
+    model = chains.make_chain(given)
+    export(model, "c:poses=20,name=four", tmp_path)
+    run([*STRICT, "-O0", "-shared", "-fPIC", "four.c", "-o", "four.so", "-lm"], tmp_path)
+    solve = ctypes.CDLL(f"{tmp_path}/four.so").four_direct
+    readings = np.linspace(-1.05, 0.5, 80)  # farther ones are too far for a start at home
+
+    def angle(a, b):
+        return np.arccos(a @ b)
+
+    normals = [np.cross(motor, axis) for axis in (elbow, hinge)]
+    between = np.arctan2(np.cross(*normals) @ motor, normals[0] @ normals[1]) - readings
+    sines = np.sin(angle(motor, elbow)) * np.sin(angle(motor, hinge))
+    apart = np.arccos((motor @ elbow) * (motor @ hinge) + sines * np.cos(between))
+    coupler, rocker = angle(elbow, ball), angle(ball, hinge)
+    margin = np.minimum(apart - abs(coupler - rocker), coupler + rocker - apart)
+    found = Kinematics(model).direct(readings[:, None])
+    size = ctypes.c_double * (13 + len(model.mechanism.passive))
+    for q, python, reachable in zip(readings, found, margin, strict=True):
+        answer, residual = size(), ctypes.c_double()
+        status = solve(ctypes.byref(ctypes.c_double(q)), None, None, answer, ctypes.byref(residual))
+        assert status == python.status
+        if reachable < -0.1:  # ten tolerances of the ball's place are 0.0625 rad
+            assert status == Status.UNREACHABLE
+        if status == Status.CONVERGED:
+            np.testing.assert_allclose(answer[1:4], python.position, atol=1e-12)
+            np.testing.assert_allclose(answer[13:], python.passive, atol=1e-12)
+        assert residual.value == pytest.approx(float(python.residual), abs=1e-12)
+    assert min(np.sum(margin < -0.1), np.sum(found.ok)) > 20
+
+
 def test_the_headers_state_how_the_angles_of_motors_convert(tmp_path):
     model = platform_on_lines()
     mechanism = model.mechanism

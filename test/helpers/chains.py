@@ -91,6 +91,34 @@ def ankle() -> dict[str, Any]:
     return {"base": "shank", "platform": "foot", "joints": joints, "loops": loops}
 
 
+def spherical_four_bar() -> tuple[dict[str, Any], list[Any]]:
+    """A crank turns a rocker; all four axes point at one centre, and have 6 digits. Return it with
+    the axes (3,) of motor, elbow, coupler and rocker."""
+    polar, azimuth = np.radians([[0, 60, 95, 70], [0, 50, 75, 0]])
+    axes = np.transpose([
+        np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
+    ])  # fmt: skip
+    motor, elbow, ball, hinge = (d * axis for d, axis in zip((0.06, 0.07, 0.08, 0.05), axes,
+                                                           strict=True))  # fmt: skip
+
+    def joint(name: str, parent: str, child: str, axis: Any, origin: Any, **more: Any) -> Any:
+        axis, origin = (np.round(vector, 6).tolist() for vector in (axis, origin))
+        return revolute(name, parent, child, axis=axis, origin=origin, **more)
+
+    joints = [
+        joint("motor", "base", "crank", axes[0], motor, driven=True),
+        joint("elbow", "crank", "link", axes[1], elbow - motor),
+        joint("hinge", "base", "rocker", axes[3], hinge),
+    ]
+    ends = {
+        key: {"body": body, "point": np.round(ball - origin, 6).tolist()}
+        for key, body, origin in (("a", "link", elbow), ("b", "rocker", hinge))
+    }
+    platform = {"platform": "rocker", "target": [0.02, 0.03, 0.05]}
+    loops = [{"name": "ball", "type": "point", **ends}]
+    return {"base": "base", **platform, "joints": joints, "loops": loops}, list(axes)
+
+
 def from_stewart42(model: pc.Model) -> dict[str, Any]:
     """Write a Stewart platform as a platform on six actuators."""
     legs = []

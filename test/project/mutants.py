@@ -82,6 +82,13 @@ class Mutant:
 MUTANTS = (
     Mutant(
         "mechanisms/chain.py",
+        "        if self._chose_controls and not inside.all():\n",
+        "        if False:\n",
+        "a workspace in metres is one of angles",
+        "test_chain_controls.py",
+    ),
+    Mutant(
+        "mechanisms/chain.py",
         "        if regular[0] < MIN_REGULARITY * regular.max():\n",
         "        if False:\n",
         "a chain begins where two assembly modes meet",
@@ -89,7 +96,7 @@ MUTANTS = (
     ),
     Mutant(
         "model/structure.py",
-        "        return self.phi if beyond is None else self.phi + beyond\n",
+        "        return self.phi + self.beyond\n",
         "        return self.phi\n",
         "a wrist with open loops is a solution",
         "test_redundant_loops.py",

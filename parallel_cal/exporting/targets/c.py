@@ -289,8 +289,10 @@ def _generate_functions(model: Model, newton: list[NewtonFunctions]) -> str:
     parts = [s.closure_configuration(s.configuration, s.a, ca.DM(model.values))]
     change = ca.SX.sym("change", s.configuration.shape[0])
     rate = ca.jtimes(ca.vec(parts[0][1]), s.configuration, change)
+    beyond = ca.substitute(s.beyond, s.v, ca.DM(model.values))
     functions = [
         (dense("closure", [s.configuration, s.a], list(parts[0])), "x a", "phi slopes"),
+        (dense("overstretch", [s.configuration, s.a], [beyond]), "x a", "beyond"),
         (dense("closure_rate", [s.configuration, s.a, change], [rate]), "x a change", "slopes"),
     ]
     for problem, of in zip(PROBLEMS, newton, strict=True):

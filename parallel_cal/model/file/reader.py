@@ -167,7 +167,10 @@ class Reader:
                 checks.length(self._document, ("workspace", key), values, len(controls), what)
             checks.box(self._document, ("workspace",), file.workspace.low, file.workspace.high)
             stated = Workspace(*(tuple(v) for _, v in file.workspace))
-            mechanism.workspace = mechanism.complete_workspace(stated)
+            try:
+                mechanism.workspace = mechanism.complete_workspace(stated)
+            except ModelError as error:
+                raise self._error(("workspace",), str(error)) from None
         for k, box in enumerate(file.keep_out):
             checks.box(self._document, ("keep_out", k), box.low, box.high)
         mechanism.keep_out = tuple(Box(*(tuple(v) for _, v in box)) for box in file.keep_out)

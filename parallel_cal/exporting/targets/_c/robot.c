@@ -177,6 +177,15 @@ static double closure_and_slopes(int problem, const double *x, const double *a, 
     return sqrt(sum);
 }
 
+/* The norm of a closure, and of how far a configuration is out of reach although it is zero (m). */
+static double residual_of(const double *x, const double *a, const double *phi)
+{
+    double beyond, sum = 0;
+    overstretch(x, a, &beyond);
+    for (int i = 0; i < ROWS; ++i) sum += square(phi[i] + beyond);
+    return sqrt(sum);
+}
+
 /* x after a change: R <- exp(w) R. */
 static void changed(const double *x, const double *change, double *to)
 {
@@ -400,8 +409,8 @@ static int descended(int problem, double *x, const double *a, int *steps, double
         for (int k = 0; k < ROWS; ++k) gradient[i] += J[k * n + i] * phi[k];
         slope += gradient[i] * gradient[i];
     }
-    *residual = size;
     int flat = sqrt(slope) < 1e-6 * size;
+    *residual = size = residual_of(x, a, phi);
     if (size < CLOSED || (flat && redundant(problem))) return @ROBOT@_CONVERGED;
     return flat || size > 1e-6 ? @ROBOT@_UNREACHABLE : @ROBOT@_NOT_CONVERGED;
 }
@@ -445,7 +454,8 @@ static int on_home_branch(int problem, const double *given, const double *begin,
     if (followed(problem, problem, a, steps, end)) {
         memcpy(x, end, sizeof end);
         turned_towards_home(problem, x);
-        *residual = closure_and_slopes(problem, x, a, phi, J);
+        closure_and_slopes(problem, x, a, phi, J);
+        *residual = residual_of(x, a, phi);
         return @ROBOT@_CONVERGED;
     }
     memcpy(end, x, sizeof end);
