@@ -11,6 +11,9 @@ from parallel_cal.importing.deltas import compute_positions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.shelf import load_effect
+from parallel_cal.recordings.info import info_of
+from parallel_cal.reporting.blocks import as_text
+from parallel_cal.reporting.recorded import describe_info
 
 MM, DEGREE = 1e-3, np.pi / 180
 LINEAR = """\
@@ -311,3 +314,13 @@ def test_a_stepper_without_a_turn_has_no_drive(file):
     _, second, third = configured(file(text)).model.mechanism.drives
     assert second is None
     assert third is not None
+
+
+def test_angles_of_joints_are_shown_of_a_printer_that_has_some(file):
+    """Carriages have none: they are no `revolute` joints that a reader has to judge."""
+    linear, rotary = (
+        as_text(describe_info(info_of(samples("klipper", file(text))))) for text in (LINEAR, ROTARY)
+    )
+    assert "revolute" not in linear + rotary
+    assert not re.search(r"to .* deg\b", linear)
+    assert re.search(r"to .* deg\b", rotary)

@@ -111,6 +111,7 @@ def samples(
     q = np.array(found)
     visits = find_visits(machine, q, step)
     touched = make_joint_samples(
+        machine,
         q,
         np.array(heights),
         paths,

@@ -234,6 +234,7 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
         measured=np.array([True, True, False, False, False, False]),
         pose_cov=covariance,
         joint_sigma=np.full(2, step / 12**0.5),
+        joint_units=("m", "m"),
         frame="base",
         source=", ".join(map(str, paths)),
         sha256=sha256(paths),
