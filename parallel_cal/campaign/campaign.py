@@ -422,6 +422,6 @@ class Campaign:
 
     def _make_stopped_outcome(self, why: str) -> Outcome:
         self.report_status("stopped", why)
-        if not self._procedure.reported:
+        if not self._procedure.verdict:
             return Outcome(False, why, ended=False, samples=len(self.samples))
         return replace(self.make_outcome(False, why), ended=False)

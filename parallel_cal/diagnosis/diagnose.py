@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -175,16 +175,10 @@ class Diagnosis(ShownInNotebook):
 
         A law outside the catalogue comes first if the effects found may only imitate it.
         """
-        discover = (
-            "search for a law outside the catalogue: parallel-cal discover MODEL RECORDING "
-            "-o my_law.py"
-        )
-        if self.noise.variance is None and not self.explanation.laws:
-            discover = advise_on_noise(self.best.fitted, self.noise.pure_error.dof)
         excluded = sorted(self.dataset.excluded)  # the command is copied: it names all of them
-        exclude = f"--data exclude={','.join(map(str, excluded))}"
-        options = f"RECORDING{f' {exclude}' if excluded else ''} -o BETTER.yaml"
-        adds = []
+        exclude = f" --data exclude={','.join(map(str, excluded))}" if excluded else ""
+        options = f"RECORDING{exclude} -o BETTER.yaml"
+        adds, discovers, advice = list[str](), list[str](), list[str]()
         if (addition := self.addition) is not None:
             part = ""
             if len(addition.effects) < len(self.effects):
@@ -198,20 +192,31 @@ class Diagnosis(ShownInNotebook):
                 f"once you know whether the robot or the device errs{refused}, "
                 f"add {what}: parallel-cal add MODEL {shlex.quote(self.doubted.text)} {options}"
             )
-        discovers = [discover] if self.leaves_an_error and self.left != "no" else []
+        if self.leaves_an_error and self.left != "no":
+            if self.noise.variance is None and not self.explanation.laws:
+                advice.append(advise_on_noise(self.best.fitted, self.noise.pure_error.dof))
+            else:
+                discovers.append(
+                    "search for a law outside the catalogue: parallel-cal discover MODEL "
+                    f"RECORDING{exclude} -o my_law.py"
+                )
         if self.verdict.needs_sides:
-            adds, discovers = [STATE_THE_SIDES], []
-        checks = []
-        without = f"parallel-cal fit MODEL RECORDING {exclude} -o REFITTED.yaml"
-        if odd := [one.title for one in self.knocked if not one.sideless]:
-            samples, them = ("samples", "them") if len(odd) > 1 else ("sample", "it")
-            checks.append(
-                f"check {samples} {join_words(odd)}, and fit without {them} if wrong: {without}"
-            )
-        if sideless := [one.title for one in self.knocked if one.sideless]:
-            checks.append(f"fit without sample {', '.join(sideless)}: {without}")
-        steps = discovers + adds if self.verdict.suspected_of_law else adds + discovers
-        return tuple(checks + steps)
+            adds, discovers, advice = [], [], [STATE_THE_SIDES]
+        commands = discovers + adds if self.verdict.suspected_of_law else adds + discovers
+        refit = f"parallel-cal fit MODEL RECORDING{exclude} -o REFITTED.yaml"
+        return (*self._list_checks("" if commands else refit), *commands, *advice)
+
+    def _list_checks(self, refit: str) -> Iterator[str]:
+        """Yield what to do about knocked samples: a `refit` excludes them, if the commands that
+        follow do not."""
+        odd = [one.title for one in self.knocked if not one.sideless]
+        samples, them = ("samples", "them") if len(odd) > 1 else ("sample", "it")
+        if odd and refit:
+            yield f"check {samples} {join_words(odd)}, and fit without {them} if wrong: {refit}"
+        elif odd:
+            yield f"check {samples} {join_words(odd)}, which what follows excludes"
+        if refit and (sideless := [one.title for one in self.knocked if one.sideless]):
+            yield f"fit without sample {', '.join(sideless)}: {refit}"
 
     def __repr__(self) -> str:
         found = ", ".join(self.effects) or "no effect"

@@ -33,13 +33,15 @@ class NoiseFloor:
 
     `sigmas` is by kind the standard deviation of its rms between repetitions of all measurements.
     `revisits` is 0 if the floor follows from the stated noise. If the noise was not stated, it is
-    the number of visits beyond the first one of each pose, less the conditions that differed
-    between them: the scatter of these visits is the floor, and nothing else is known of it.
+    the number of visits beyond the first one of each pose: the scatter of these visits is the
+    floor, and nothing else is known of it. Conditions that differed between them leave it fewer
+    degrees of freedom, `dof`.
     """
 
     summary: Summary = field(default_factory=Summary)
     sigmas: Mapping[str, float] = field(default_factory=dict)
     revisits: int = 0
+    dof: int = 0
 
 
 def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summary:
@@ -63,23 +65,23 @@ def compare_revisits(found: Errors, dataset: Dataset) -> NoiseFloor:
 
     What depends linearly on the conditions of the visits is removed. With the covariance C (k, k)
     of the k components of an error, the sum of its squares has about tr(C)^2 / tr(C^2) degrees of
-    freedom per visit, so the standard deviation of a rms is rms sqrt(tr(C^2) / (2 visits)) / tr(C)
-    (Satterthwaite, Biometrics Bulletin 2 (1946) 110).
+    freedom per revisit that the conditions do not take, so the standard deviation of a rms is rms
+    sqrt(tr(C^2) / (2 dof)) / tr(C) (Satterthwaite, Biometrics Bulletin 2 (1946) 110).
     """
-    summary, sigmas, count = dict[str, float](), dict[str, float](), 0
+    summary, sigmas, counts = dict[str, float](), dict[str, float](), (0, 0)
     for kind in KINDS_OF_REVISITS if dataset.mode != "continuous" else ():
         known = np.isfinite(found.norms(kind))
-        part = np.nan_to_num(getattr(found, kind)[known])
+        part, poses = np.nan_to_num(getattr(found, kind)[known]), dataset.pose_id[known]
         conditions = {name: c[known] for name, c in dataset.conditions.items()}
-        apart, visits = subtract_visits_mean(part, dataset.pose_id[known], conditions)
+        apart, dof = subtract_visits_mean(part, poses, conditions)
         squares = apart.T @ apart
-        if not visits or not (total := float(np.trace(squares))):
+        if not dof or not (total := float(np.trace(squares))):
             continue
-        rms = math.sqrt(total / visits)
+        rms = math.sqrt(total / dof)
         summary[f"{kind}_rms"] = rms
-        sigmas[kind] = rms * float(np.linalg.norm(squares)) / total / math.sqrt(2 * visits)
-        count = max(count, visits)
-    return NoiseFloor(Summary(**summary), sigmas, count)
+        sigmas[kind] = rms * float(np.linalg.norm(squares)) / total / math.sqrt(2 * dof)
+        counts = max(counts, (len(poses) - len(np.unique(poses)), dof))
+    return NoiseFloor(Summary(**summary), sigmas, *counts)
 
 
 @single_threaded()

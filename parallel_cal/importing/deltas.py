@@ -71,6 +71,10 @@ class Delta(Protocol):
     """A delta printer as configured."""
 
     @property
+    def joint_unit(self) -> str:
+        """The unit of its joints, m or rad."""
+
+    @property
     def homed(self) -> Array:
         """Joints (3,) at the end-stops."""
 
@@ -137,6 +141,10 @@ class Towers:
         out, long = np.broadcast_to(radius, 3) * MM, np.asarray(rods) * MM
         tops = np.asarray(heights) * MM + np.sqrt(long**2 - out**2)
         return cls(out, long, np.asarray(trim) * DEGREE, tops, **more)
+
+    @property
+    def joint_unit(self) -> str:
+        return "m"
 
     @property
     def heights(self) -> Array:
@@ -213,6 +221,10 @@ class Shoulders:
     switches: Array | None = None
     box: Workspace | None = None
     step: Array | None = None
+
+    @property
+    def joint_unit(self) -> str:
+        return "rad"
 
     @property
     def homed(self) -> Array:

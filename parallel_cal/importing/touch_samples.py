@@ -205,7 +205,15 @@ def make_touch_samples(
         expected = "; ".join(["a point within reach of the configured rods", *doubts])
         raise places[k].error("position", point, expected)
     found = make_joint_samples(
-        q, np.zeros(len(q)), paths, step, visits, dropped, [*warnings, *doubts], printed=printed
+        delta,
+        q,
+        np.zeros(len(q)),
+        paths,
+        step,
+        visits,
+        dropped,
+        [*warnings, *doubts],
+        printed=printed,
     )
     # The positions depend on every number of the configuration, and so do the joints.
     numbers = {name: float(number) for name, number in delta.nominal.items()}
@@ -213,6 +221,7 @@ def make_touch_samples(
 
 
 def make_joint_samples(
+    delta: Delta,
     q: Array,
     height: ArrayLike,
     paths: Sequence[Path],
@@ -253,6 +262,7 @@ def make_joint_samples(
         sha256=sha256(paths),
         dropped=tuple(dropped),
         warnings=tuple(warnings),
+        joint_units=(delta.joint_unit,) * 3,
     )
     # Near ends of a short part are two poses, not two visits of one pose.
     ends = len(q) - len(printed.q) + np.arange(len(printed.q))

@@ -264,10 +264,14 @@ class ColumnMap(Part):
     @property
     def columns(self) -> list[str]:
         """Every column that the map names."""
-        names = self.joint_columns + self.pose_columns
-        names += [reading.column for reading in self.readings.values()]
-        names += [c for c in self.conditions.values() if isinstance(c, str)]
+        names = self.number_columns + [reading.column for reading in self.readings.values()]
         return names + [one for one in (self.group, self.name) if one]
+
+    @property
+    def number_columns(self) -> list[str]:
+        """The columns of joints, poses and conditions, which every sample needs."""
+        conditions = [c for c in self.conditions.values() if isinstance(c, str)]
+        return self.joint_columns + self.pose_columns + conditions
 
 
 # The keys of a column map that have keys themselves; those of `joints` and `readings` have names

@@ -48,6 +48,7 @@ from parallel_cal.recordings.vicon import (
 )
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
+MAX_NAMED = 5  # places of a fault in one message
 MAX_TABLE_BYTES = 512 * MEGABYTE
 EXPORTED = (
     FIRST_CELL,
@@ -67,6 +68,7 @@ class Table:
     decimal: str = "."
     exported: bool = False  # by a program whose tables have many columns besides those of interest
     assumed_unit: str = ""  # of lengths, if the program did not state it
+    needed: tuple[str, ...] = ()  # columns that are read as well: an error names their cells, too
 
     def find(self, name: str) -> str | None:
         """Return the header's word for a column: its name, or name and unit (`x [mm]`, `x_mm`).
@@ -95,12 +97,18 @@ class Table:
         kept = [k for k, row in enumerate(self.rows) if any(map(str.strip, row))]
         if not kept:
             raise DatasetError(f"{self.path}: expected a header line and rows, found only 1 line")
-        for k in kept:
-            if len(self.rows[k]) != len(self.header):
-                raise DatasetError(
-                    f"{self.path}:{self.lines[k]}: {len(self.rows[k])} cells, but the header "
-                    f"has {len(self.header)}"
-                )
+        wrong = [k for k in kept if len(self.rows[k]) != len(self.header)]
+        if wrong:
+            first, *others = (f"{self.lines[k]}" for k in wrong)
+            also = (
+                f" ({len(wrong)} lines have this fault, also {_join_first(others)})"
+                if others
+                else ""
+            )
+            raise DatasetError(
+                f"{self.path}:{first}: {len(self.rows[wrong[0]])} cells, but the header "
+                f"has {len(self.header)}{also}"
+            )
         return self.select(kept)
 
     def texts(self, name: str) -> list[str]:
@@ -123,28 +131,43 @@ class Table:
         except ValueError:
             return math.nan
 
-    def numbers(self, names: Sequence[str]) -> np.ndarray:
-        """Return (N, len(names)); DatasetError at the first cell that is not a finite number."""
+    def numbers(self, names: Sequence[str], gaps: bool = False) -> np.ndarray:
+        """Return (N, len(names)); with `gaps`, an empty cell is NaN. DatasetError if a cell is no
+        finite number."""
         columns = []
         for name in names:
             numbers, texts = self.column(name), self.texts(name)
-            for k in np.flatnonzero(~np.isfinite(numbers)):
-                hint = ""
-                if "," in texts[k] and self.decimal != ",":
-                    hint = ". A decimal comma needs a semicolon or a tab between the cells"
+            filled = np.isfinite(numbers)
+            if any(texts[k] or not gaps for k in np.flatnonzero(~filled)):
+                raise self._name_bad_cells((*names, *self.needed), gaps)
+            if (bad := find_unconverted(numbers[filled])) is not None:
+                k = np.flatnonzero(filled)[bad]
                 raise DatasetError(
-                    f"{self.path}:{self.lines[k]}: column {name} contains "
-                    f"{texts[k]!r:.60}, expected a finite number: enter one or remove "
-                    f"the line{hint}"
-                )
-            if (bad := find_unconverted(numbers)) is not None:
-                raise DatasetError(
-                    f"{self.path}:{self.lines[bad]}: column {name} contains {texts[bad]!r:.60}: "
+                    f"{self.path}:{self.lines[k]}: column {name} contains {texts[k]!r:.60}: "
                     f"{UNCONVERTED}"
                 )
             self._check_decimal_sign(name, texts)
             columns.append(numbers)
         return np.column_stack(columns)
+
+    def _name_bad_cells(self, names: Sequence[str], gaps: bool) -> DatasetError:
+        """Return the error that names the first cells of these columns that are no numbers."""
+        (line, name, text), *others = sorted(
+            (self.lines[k], name, text)
+            for name in dict.fromkeys(names)
+            for k, text in enumerate(self.texts(name))
+            if (text or not gaps) and not math.isfinite(self._number(text))
+        )
+        commas = self.decimal != "," and any("," in t for _, _, t in [("", "", text), *others])
+        hint = ". A decimal comma needs a semicolon or a tab between the cells" * commas
+        what = f"{self.path}:{line}: column {name} contains {text!r:.60}, expected a finite number"
+        if not others:
+            return DatasetError(f"{what}: enter one or remove the line{hint}")
+        also = _join_first([f"line {n} column {column} ({t!r:.60})" for n, column, t in others])
+        return DatasetError(
+            f"{what}. {len(others) + 1} cells have this fault, also {also}: enter numbers or "
+            f"remove the lines{hint}"
+        )
 
     def _check_decimal_sign(self, name: str, texts: Sequence[str]) -> None:
         """Raise DatasetError if some numbers of a column have a comma and some have a point."""
@@ -159,6 +182,12 @@ class Table:
                 f"but {texts[other]!r:.60} in line {self.lines[other]}: expected a comma or a "
                 "point as decimal sign, not both. Export the table without thousands separators"
             )
+
+
+def _join_first(places: Sequence[str]) -> str:
+    """Join the first places, with the number of the others."""
+    more = len(places) - MAX_NAMED
+    return ", ".join([*places[:MAX_NAMED], *([f"{more} more"] if more > 0 else [])])
 
 
 def read_table(path: Path) -> Table:

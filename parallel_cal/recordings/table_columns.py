@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,7 +62,8 @@ class Columns:
     map: str
 
     def check(self, wanted: ColumnMap, shared: str = "") -> Columns:
-        """Return self; DatasetError for a column that no table or more than one table has.
+        """Return these columns, whose bad cells are named together; DatasetError for a column that
+        no table or more than one table has.
 
         Several tables may have the column `shared`.
         """
@@ -78,7 +79,11 @@ class Columns:
                     f"{', '.join(f'{t.path}:1' for t in self.tables)}: no column {name}, "
                     f"which {self.map} names; the table has {has}"
                 )
-        return self
+        tables = []
+        for table in self.tables:
+            words = [word for name in wanted.number_columns if (word := table.find(name))]
+            tables.append(replace(table, needed=tuple(words)))
+        return replace(self, tables=tables)
 
     def require_one_table(self, names: Sequence[str]) -> Table:
         """Return the table that has all these columns; DatasetError if they are in several."""
@@ -147,7 +152,7 @@ class Columns:
         With `gaps`, an empty cell is NaN.
         """
         return np.column_stack(
-            [_numbers(t, word, gaps) for t, word in map(self._find_column, names)]
+            [t.numbers([word], gaps) for t, word in map(self._find_column, names)]
         )
 
     def condition(self, name: str, column: str) -> Array:
@@ -276,12 +281,4 @@ class Columns:
             raise DatasetError(
                 f"{table.path}:1: column {word} is in {stated}, expected a length or an angle"
             )
-        return _numbers(table, word, gaps) * (1.0 if stated == PIXEL else UNITS[stated])
-
-
-def _numbers(table: Table, word: str, gaps: bool) -> Array:
-    """Return the numbers (N,) of a column; with `gaps`, an empty cell is NaN."""
-    filled = [k for k, text in enumerate(table.texts(word)) if text or not gaps]
-    values = np.full(len(table.rows), np.nan)
-    values[filled] = table.select(filled).numbers([word])[:, 0]
-    return values
+        return table.numbers([word], gaps)[:, 0] * (1.0 if stated == PIXEL else UNITS[stated])

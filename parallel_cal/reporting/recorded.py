@@ -76,15 +76,21 @@ def _topic_table(document: dict[str, Any]) -> Table:
 
 
 def _joint_table(document: dict[str, Any]) -> Table:
-    """Make the table of joints and their ranges, also in degrees unless a joint is prismatic. A
-    topic does not tell the type of a joint; a column map does."""
-    known = all("unit" in span for span in document["joints"].values())
-    rows = []
+    """Make the table of joints and their ranges, also in degrees of those that turn. A topic does
+    not tell the unit of a joint; a column map, a model file and a set of samples do."""
+    rows, header = [], ["joint", "from", "to"]
+    units = {name: span.get("unit", "rad|m") for name, span in document["joints"].items()}
+    turn = [name for name, unit in units.items() if unit != "m"]
+    if turn:
+        header.append("in degrees" if "rad|m" not in units.values() else "(if revolute)")
     for name, span in document["joints"].items():
-        low, high, unit = span["min"], span["max"], span.get("unit", "rad|m")
-        degrees = "" if unit == "m" else f"{np.degrees(low):.2f} to {np.degrees(high):.2f} deg"
-        rows.append((name, f"{low:.4f} {unit}", f"{high:.4f} {unit}", degrees))
-    return Table(("joint", "from", "to", "in degrees" if known else "(if revolute)"), rows)
+        low, high, unit = span["min"], span["max"], units[name]
+        row = [name, f"{low:.4f} {unit}", f"{high:.4f} {unit}"]
+        if turn:
+            deg = f"{np.degrees(low):.2f} to {np.degrees(high):.2f} deg"
+            row.append(deg if name in turn else "")
+        rows.append(tuple(row))
+    return Table(tuple(header), rows)
 
 
 def _sample_sentence(document: dict[str, Any]) -> str:

@@ -10,7 +10,6 @@ from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.identification.thresholds import MIN_DOF
 from parallel_cal.model.words import join_words
 from parallel_cal.reporting.blocks import Cell, Table
 from parallel_cal.reporting.contents import list_shown_kinds
@@ -128,8 +127,8 @@ def _state_missing(
     if judged.observations.noise_assumed:
         level = _judge_by_revisits(judged)
         if level.variance is None:
-            few = f" {MIN_DOF} times" if level.pure_error.dof else ""
-            why = f"the noise is not stated, and no poses were visited again{few}"
+            few = "too few" if level.pure_error.dof else "no"
+            why = f"the noise is not stated, and {few} poses were visited again"
             return Line("missing:", f"not known, because {why}")
         high, limit = level.band(residual.dof)[1], ", as far as the revisits tell"
     if chi2 > high:
@@ -156,13 +155,16 @@ def _state_noise(
     """
     shown = write(noise.summary, noise.sigmas)
     if noise.revisits:
-        return Line("noise:", f"{shown} by {count_revisits(noise.revisits)}")
+        return Line("noise:", f"{shown} by {count_revisits(noise)}")
     small = residual.dof > 0 and residual.chi2_per_dof < chi2_band(residual.dof)[0]
     return Line("noise:", shown + STATED * (small and not judged.observations.noise_assumed))
 
 
-def count_revisits(count: int) -> str:
-    return f"{count} revisit{'s' * (count > 1)} of the same poses"
+def count_revisits(noise: NoiseFloor) -> str:
+    """Return how many visits beyond the first of a pose showed a noise floor, and what their
+    conditions leave of them if these differed."""
+    left = f" ({noise.dof} degrees of freedom)" if noise.dof < noise.revisits else ""
+    return f"{noise.revisits} revisit{'s' * (noise.revisits > 1)} of the same poses{left}"
 
 
 def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:

@@ -94,9 +94,10 @@ def test_a_limit_ends_an_update_that_is_not_decided(tmp_path):
     assert outcome.message.startswith("2 poses were measured, the maximum that was allowed: ")
 
 
-def test_an_update_goes_on_where_it_stopped_and_not_as_another_campaign(tmp_path):
+def test_an_update_goes_on_where_it_stopped_and_not_as_another_campaign(tmp_path, monkeypatch):
     control = Control()
-    seen = []
+    seen, documents, document = [], [], Recheck.document
+    monkeypatch.setattr(Recheck, "document", lambda found: documents.append(1) or document(found))
 
     class Watched(DriftedCell):
         def sample(self, go_on):
@@ -110,6 +111,8 @@ def test_an_update_goes_on_where_it_stopped_and_not_as_another_campaign(tmp_path
     stopped = first.run()
     first.close()
     assert not stopped.ended
+    assert stopped.verdict
+    assert len(documents) == 1  # of the outcome, and not to know whether there is one
     assert find_unfinished(tmp_path, calibrated(SEED), update=True) == folder
     assert find_unfinished(tmp_path, calibrated(SEED)) is None
     with pytest.raises(CampaignError, match="only one of both is an update"):

@@ -517,11 +517,9 @@ def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
     assert [one.sample for one in found.knocked] == [17]
     assert "backlash" in found.verdict.summary
     assert found.verdict.remarks[-1].startswith("Not used: sample 17 (")
-    assert found.document()["next_steps"][0] == (
-        "check sample 17, and fit without it if wrong: "
-        "parallel-cal fit MODEL RECORDING --data exclude=17 -o REFITTED.yaml"
-    )
-    assert found.next_steps[-1].split(" -o ")[0].endswith("RECORDING --data exclude=17")
+    check, command = found.document()["next_steps"]
+    assert check == "check sample 17, which what follows excludes"
+    assert command.split(" -o ")[0].endswith("add MODEL backlash RECORDING --data exclude=17")
 
 
 @pytest.mark.wide
@@ -580,7 +578,10 @@ def test_the_first_row_of_a_table_is_excluded_for_its_unknown_sides_and_nobody_i
     assert found.verdict.text.endswith(
         "from which sides its joints came is not known, so exclude it"
     )
-    assert found.next_steps[0].startswith("fit without sample 0: parallel-cal fit MODEL RECORDING")
+    [command] = found.next_steps
+    assert command.startswith(
+        "add what was found: parallel-cal add MODEL backlash RECORDING --data"
+    )
     step = add(MODEL, "backlash", data)
     assert step.knocked == (0,)
     assert "sample 0 (a sample of which the sides from which" in show(step)

@@ -136,6 +136,9 @@ def test_the_next_command_excludes_the_samples_that_the_owner_excluded():
     found = diagnose(model, data.excluding([7, 9]), effects=["backlash"])
     assert "RECORDING --data exclude=7,9 -o" in found.next_steps[0]
     assert held_out(follow(found, model, data).result) == held_out(found.best.fitted)
+    blind = diagnose(model, data.excluding([7, 9]), effects=["target_offset"])
+    [discover] = (step for step in blind.next_steps if "parallel-cal discover" in step)
+    assert "discover MODEL RECORDING --data exclude=7,9 -o" in discover
 
 
 def test_no_command_is_proposed_that_add_refuses_for_want_of_held_out_poses():

@@ -277,7 +277,7 @@ def test_revisits_show_the_noise_with_the_spread_that_is_stated():
                 conditions={"temperature": warm},
             ),
         )
-        assert floor.revisits == 11  # one degree of freedom is that of the temperature
+        assert (floor.revisits, floor.dof) == (12, 11)  # one is that of the temperature
         found.append(floor.summary.position_rms)
         stated.append(floor.sigmas["position"])
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(np.linalg.norm(true), rel=0.02)
@@ -289,6 +289,11 @@ def test_lines_of_a_comparison_name_the_revisits(session):
     lines = {line.label: line.text for line in summarize(shown)}
     assert lines["noise:"].endswith("by 20 revisits of the same poses")
     assert "beside the noise" in lines["missing:"]
+    dataset = delta_dataset(session)
+    warm = np.random.default_rng(1).normal(size=len(dataset))
+    warmed = replace(dataset, conditions={**dataset.conditions, "temperature": warm})
+    lines = {line.label: line.text for line in summarize(compare(new_model("delta54"), warmed))}
+    assert lines["noise:"].endswith("by 20 revisits of the same poses (19 degrees of freedom)")
     visited = session["pose_index"]
     once = np.flatnonzero([k not in visited[:i] for i, k in enumerate(visited)])
     lines = {

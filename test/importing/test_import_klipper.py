@@ -9,6 +9,11 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.deltas import compute_positions
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.drive import Drive
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.recordings.info import info_of
+from parallel_cal.reporting.blocks import as_text
+from parallel_cal.reporting.recorded import describe_info
 
 MM, DEGREE = 1e-3, np.pi / 180
 LINEAR = """\
@@ -280,3 +285,42 @@ def test_motors_that_no_place_explains_have_none():
     found = compute_positions(Bowl(), np.array([[0.0] * 3, [2e-4] * 3]), np.full((2, 3), 0.009))
     assert np.isnan(found[0]).all()
     np.testing.assert_allclose(found[1], 0.01, rtol=1e-6)
+
+
+def test_a_carriage_moves_by_its_rotation_distance_per_turn_of_its_pulley(file):
+    """40 mm a turn of each pulley; the third motor turns twice for it. 8 mm are a screw's."""
+    text = LINEAR.replace("[stepper_b]\nrotation_distance: 40", "[stepper_b]\nrotation_distance: 8")
+    text = re.sub(r"#\*# distance0.*\n", "", text)
+    drives = configured(file(text)).model.mechanism.drives
+    assert drives == (
+        Drive("belt", per_rev=40 * MM),
+        Drive("screw", per_rev=8 * MM),
+        Drive("belt", per_rev=20 * MM, gear=2.0),
+    )
+    assert [drive.lead for drive in drives] == pytest.approx([40 * MM, 8 * MM, 40 * MM])
+    assert configured(file(ROTARY)).model.mechanism.drives == ()
+
+
+def test_the_turn_of_a_pulley_is_the_only_one_that_a_diagnosis_tries(file):
+    model = configured(file(LINEAR)).model
+    recorded = {joint: np.linspace(0.2, 0.5, 9) for joint in model.joints}
+    [tried] = load_effect("screw_pitch_error").scan(model.mechanism, recorded)
+    assert tried == {"lead": pytest.approx(40 * MM)}
+
+
+def test_a_stepper_without_a_turn_has_no_drive(file):
+    text = LINEAR.replace("[stepper_b]\nrotation_distance: 40\n", "[stepper_b]\n")
+    text = re.sub(r"#\*# distance0.*\n", "", text)
+    _, second, third = configured(file(text)).model.mechanism.drives
+    assert second is None
+    assert third is not None
+
+
+def test_angles_of_joints_are_shown_of_a_printer_that_has_some(file):
+    """Carriages have none: they are no `revolute` joints that a reader has to judge."""
+    linear, rotary = (
+        as_text(describe_info(info_of(samples("klipper", file(text))))) for text in (LINEAR, ROTARY)
+    )
+    assert "revolute" not in linear + rotary
+    assert not re.search(r"to .* deg\b", linear)
+    assert re.search(r"to .* deg\b", rotary)

@@ -12,6 +12,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.importers.maslow import chains, settings
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 
@@ -128,6 +129,8 @@ def test_what_groundcontrol_computed_counts_before_the_words(tmp_path):
     machine = chains(settings([written(tmp_path, INI + more)]))
     assert machine.radius == pytest.approx(60 * MM / 2 / np.pi)
     assert type(machine).__name__ == "Quadrilateral"
+    drives = configured([written(tmp_path, INI + more)]).model.mechanism.drives
+    assert drives == (Drive("belt", per_rev=60 * MM),) * 2  # per turn of the sprockets
     remarks = configured([tmp_path / "groundcontrol.ini"]).remarks
     assert any("a radius of 9.549 mm, but a controller that was sw" in each for each in remarks)
 

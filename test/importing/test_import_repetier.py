@@ -8,6 +8,7 @@ from parallel_cal.exporting.export import export, export_into
 from parallel_cal.importing.controller_files import configured
 from parallel_cal.importing.importers import repetier
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 
@@ -98,6 +99,15 @@ def test_configuration_h_counts_where_the_eeprom_states_nothing(tmp_path):
     assert configured([header]).model.mechanism.scale == pytest.approx((80e3,) * 3)
     both = repetier.towers(repetier.settings([header, written(tmp_path)]))
     assert both.rods[0] == pytest.approx(0.217)
+
+
+def test_a_carriage_moves_by_the_steps_of_a_turn(tmp_path):
+    """3200 steps a turn are 40 mm by 80 steps per mm, and 32 mm by the 100 of the EEPROM."""
+    header = written(tmp_path, HEADER, "Configuration.h")
+    assert configured([header]).model.mechanism.drives == (Drive("belt", per_rev=0.04),) * 3
+    drives = configured([header, written(tmp_path)]).model.mechanism.drives
+    assert drives == (Drive("belt", per_rev=0.032),) * 3
+    assert configured([written(tmp_path)]).model.mechanism.drives == ()
 
 
 def test_what_was_written_is_what_the_firmware_rounds_to(tmp_path):

@@ -7,8 +7,9 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.importing.controller_files import configured
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.model.shelf import load_effect, load_mechanism
 
 MM = 1e-3
 # Anchors of Klipper's config/example-winch.cfg (84104bbbd), mm.
@@ -116,3 +117,13 @@ def test_winches_that_klipper_does_not_have_are_refused(tmp_path):
         model = new_model(load_mechanism("cable", **options))
         with pytest.raises(ParallelCalError, match=r"klipper: expected a cable robot in space who"):
             export(model, "klipper", tmp_path)
+
+
+def test_a_winch_lets_out_its_rotation_distance_per_turn_of_the_spool(tmp_path):
+    found = configured([written(tmp_path, printer(more="[stepper_a]\ngear_ratio: 5:1\n"))])
+    first, *others = found.model.mechanism.drives
+    assert first.spool.radius == pytest.approx(40 * MM / (2 * np.pi))
+    assert first.spool.turn == pytest.approx(1 / first.spool.radius)  # out, as its line grows
+    assert (first.kind, first.per_rev, first.gear) == ("spool", 8 * MM, 5.0)
+    assert others == [Drive("spool", per_rev=40 * MM)] * 3
+    assert not load_effect("spool_buildup").applies(found.model.mechanism)

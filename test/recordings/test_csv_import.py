@@ -217,6 +217,32 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
         import_csv(*files(table=TABLE.replace(*change)))
 
 
+def test_all_bad_cells_of_a_table_are_named_at_once(files):
+    """Cells of joints, positions and conditions, of which the first five others are named."""
+    lines = TABLE.splitlines()
+    bad = TABLE.replace(",100,", ",,").replace(",22.5,", ",cold,")
+    with pytest.raises(ParallelCalError, match="column b_mm contains ''") as told:
+        import_csv(*files(table=bad))
+    assert str(told.value).endswith(
+        "expected a finite number. 2 cells have this fault, also line 4 column T ('cold'): enter "
+        "numbers or remove the lines"
+    )
+    column = lines[0].split(",").index("T")
+    rows = [[*line.split(",")] for line in lines[1:] * 4 if line]
+    for row in rows:
+        row[column] = "?"
+    with pytest.raises(ParallelCalError, match=rf"{len(rows)} cells have this fault, .*more:"):
+        import_csv(*files(table="\n".join([lines[0], *map(",".join, rows)])))
+
+
+def test_all_lines_that_lack_a_cell_are_named_at_once(files):
+    lines = TABLE.splitlines()
+    short = [line.rsplit(",", 1)[0] for line in lines[1:]]
+    words = r"11 cells, but the header has 12 \(3 lines have this fault, also 4, 5\)"
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(table="\n".join([lines[0], *short])))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

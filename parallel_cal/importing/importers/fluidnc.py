@@ -102,6 +102,7 @@ def samples(paths: Sequence[Path]) -> Dataset:
         measured=np.zeros(6, bool),
         source=", ".join(map(str, paths)),
         sha256=sha256(paths),
+        joint_units=("m",) * 4,
     )
 
 

@@ -20,6 +20,7 @@ from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_clockwise
 from parallel_cal.importing.deltesian import MIN_ANGLE, DeltesianArms
+from parallel_cal.importing.drives import make_drive
 from parallel_cal.importing.klipper_config import settings
 from parallel_cal.importing.klipper_mesh import DEFAULT, choose_mesh, read_mesh
 from parallel_cal.importing.settings import Settings
@@ -31,6 +32,7 @@ from parallel_cal.importing.touch_samples import (
     make_printed_ends,
 )
 from parallel_cal.importing.winches import Winches
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
@@ -109,6 +111,7 @@ def samples(
     q = np.array(found)
     visits = find_visits(machine, q, step)
     touched = make_joint_samples(
+        machine,
         q,
         np.array(heights),
         paths,
@@ -183,9 +186,18 @@ def _read_parts(stated: Settings, warnings: list[str]) -> _Parts | None:
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """Return the printer as configured."""
+    """Return the printer as configured, with the drives of its carriages or lines."""
     stated = settings(paths)
-    printer, probe = kinematics(stated), _probe(stated)
+    printer = kinematics(stated)
+    found = _make_robot(stated, printer)
+    if not isinstance(printer, Shoulders):
+        found.model.mechanism.drives = _read_drives(stated, printer)
+    return found
+
+
+def _make_robot(stated: Settings, printer: Delta | DeltesianArms | Winches) -> ConfiguredRobot:
+    """Return a printer with its sensors, and what its configuration does not state."""
+    probe = _probe(stated)
     parts = _read_parts(stated, []) if isinstance(printer, (Towers, Shoulders)) else None
     remarks = [*_describe_missing_steps(stated, printer), *stated.describe_unused()]
     if isinstance(printer, DeltesianArms):
@@ -209,15 +221,40 @@ def _describe_missing_steps(
     stated: Settings, printer: Delta | DeltesianArms | Winches
 ) -> list[str]:
     """Name steppers without the length of a step, without which Klipper does not start."""
-    steppers = [*SIDES, BED] if isinstance(printer, DeltesianArms) else STEPPERS
-    if isinstance(printer, Winches):
-        steppers = LINES[: len(printer.anchors)]
+    steppers = _list_steppers(printer)
     key = GEAR_RATIO if isinstance(printer, Shoulders) else ROTATION_DISTANCE
     fields = [
         f"{stepper} {key}" for stepper in steppers if f"{stepper} {STEP_DISTANCE}" not in stated
     ]
     missing = ", ".join(field for field in fields if field not in stated)
     return [f"Klipper does not start without {missing}; the model does not need it"] * bool(missing)
+
+
+def _list_steppers(printer: Delta | DeltesianArms | Winches) -> list[str]:
+    """Return the sections of the steppers in the order of the joints."""
+    if isinstance(printer, Winches):
+        return LINES[: len(printer.anchors)]
+    return [*SIDES, BED] if isinstance(printer, DeltesianArms) else STEPPERS
+
+
+def _read_drives(
+    stated: Settings, printer: Delta | DeltesianArms | Winches
+) -> tuple[Drive | None, ...]:
+    """Return the drives of carriages or lines, None where the configuration states no turn.
+
+    A rotation_distance is the travel per turn of the pulley, screw or spool, behind all gears.
+    """
+    found = list[Drive | None]()
+    for stepper in _list_steppers(printer):
+        field = f"{stepper} {ROTATION_DISTANCE}"
+        if field not in stated:
+            found.append(None)
+            continue
+        turn = stated.number(field, "mm a turn", low=1e-3) * MM
+        gear = _gear(stated, f"{stepper} {GEAR_RATIO}")
+        winds = isinstance(printer, Winches)
+        found.append(Drive("spool", turn / gear, gear=gear) if winds else make_drive(turn, gear))
+    return tuple(found)
 
 
 def _kind_of_probe(stated: Settings) -> str:

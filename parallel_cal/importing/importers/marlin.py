@@ -119,7 +119,7 @@ def samples(
     q, printed = np.array(found) + delta.end_stops, make_printed_ends(delta, printed_x, printed_y)
     means = [MEANS] if skipped else []
     touched = make_joint_samples(
-        q, np.zeros(len(q)), paths, step, np.array(visits), warnings=means, printed=printed
+        delta, q, np.zeros(len(q)), paths, step, np.array(visits), warnings=means, printed=printed
     )
     return replace(touched, configuration=deltas.end_stops(delta))
 

@@ -22,6 +22,7 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.units import LENGTHS, MM
 from parallel_cal.importing.controller_files import ConfiguredRobot
+from parallel_cal.importing.drives import make_drive
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines, sha256
 from parallel_cal.importing.sled_chains import SAG_UNIT, Quadrilateral, Triangular
 from parallel_cal.importing.unit_doubts import doubt_unit
@@ -196,7 +197,9 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if abs(machine.radius - FIRMWARE_RADIUS) > 0.02 * MM:
         remarks.append(RESTARTED.format(machine.radius / MM))
     remarks += stated.describe_unused()
-    return ConfiguredRobot(machine.model(), tuple(remarks), None)
+    model = machine.model()
+    model.mechanism.drives = (make_drive(read_number(stated, "turn") * MM),) * 2
+    return ConfiguredRobot(model, tuple(remarks), None)
 
 
 def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
@@ -231,6 +234,7 @@ def samples(paths: Sequence[Path], sigma: float | None = None) -> Dataset:
         measured=np.array([True, True, False, False, False, False]),
         pose_cov=covariance,
         joint_sigma=np.full(2, step / 12**0.5),
+        joint_units=("m", "m"),
         frame="base",
         source=", ".join(map(str, paths)),
         sha256=sha256(paths),

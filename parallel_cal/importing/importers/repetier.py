@@ -22,6 +22,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Towers
+from parallel_cal.importing.drives import make_drive
 from parallel_cal.importing.gcode import HOST_PREFIX
 from parallel_cal.importing.importers.marlin import DEFINITION
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
@@ -53,7 +54,9 @@ PARTS_OF_RADIUS = (
     "END_EFFECTOR_HORIZONTAL_OFFSET",
     "CARRIAGE_HORIZONTAL_OFFSET",
 )
-PARTS_OF_STEPS = ("MICRO_STEPS", "STEPS_PER_ROTATION", "BELT_PITCH", "PULLEY_TEETH")
+STEPS_OF_TURN = ("MICRO_STEPS", "STEPS_PER_ROTATION")
+PARTS_OF_STEPS = (*STEPS_OF_TURN, "BELT_PITCH", "PULLEY_TEETH")
+ABOVE_ZERO = "a plain number above 0"
 DEFINED = {
     "ZAXIS_STEPS_PER_MM": STEPS,
     "Z_MAX_LENGTH": HEIGHT,
@@ -86,10 +89,17 @@ def recognizes(path: Path) -> bool:
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """Return the printer as configured."""
+    """Return the printer as configured. A pulley sits on its motor: Configuration.h states how far
+    a carriage moves per turn by the steps of a turn."""
     stated = settings(paths)
     printer = towers(stated)
-    return deltas.make_configured_robot(printer, np.zeros(3), remarks=stated.describe_unused())
+    remarks = stated.describe_unused()
+    found = deltas.make_configured_robot(printer, np.zeros(3), remarks=remarks)
+    if printer.scale is not None and all(name in stated for name in STEPS_OF_TURN):
+        micro, turn = (stated.number(name, ABOVE_ZERO, low=1e-6) for name in STEPS_OF_TURN)
+        drives = [make_drive(float(micro * turn / scale)) for scale in printer.scale]
+        found.model.mechanism.drives = tuple(drives)
+    return found
 
 
 def settings(paths: Sequence[Path]) -> Settings:
@@ -132,7 +142,7 @@ def read_defined(stated: Settings) -> Settings:
         texts.pop(STEPS, None)
         if all(name in stated for name in PARTS_OF_STEPS):
             micro, turn, pitch, teeth = (
-                stated.number(name, "a plain number above 0", low=1e-6) for name in PARTS_OF_STEPS
+                stated.number(name, ABOVE_ZERO, low=1e-6) for name in PARTS_OF_STEPS
             )
             place = stated.texts[PARTS_OF_STEPS[0]][1]
             texts[STEPS] = (repr(micro * turn / (pitch * teeth)), place)
