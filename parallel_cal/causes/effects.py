@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -20,6 +20,7 @@ from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
 from parallel_cal.posterior.evidence import UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.scene import Scene, columns
+from parallel_cal.posterior.search import NO_RIVAL, SCAN_LOSS
 from parallel_cal.recordings.dataset import Dataset
 
 MIN_SCANNED = 3  # values of a setting, to refine it between them
@@ -151,8 +152,7 @@ class Scan:
         of its start, and the setting with it."""
         from scipy.optimize import minimize_scalar
 
-        at = int(np.argmin(np.abs(np.array(scanned) - start[key])))
-        low, high = scanned[max(at - 1, 0)], scanned[min(at + 1, len(scanned) - 1)]
+        low, high = find_bracket(scanned, start[key])
         optimum = minimize_scalar(
             lambda value: -self.weigh({**start, key: value}),
             bounds=(low, high),
@@ -164,6 +164,25 @@ class Scan:
         found = {**start, key: min(max(round(float(optimum.x), decimals), low), high)}
         after, before = self.weigh(found), self.weigh(start)
         return (after, found) if after > before else (before, dict(start))
+
+    def is_peak_at_multiple(self, setting: Mapping[str, float], other: Mapping[str, float]) -> bool:
+        """Whether another setting is the peak that `refine` finds at a multiple of a setting."""
+        return any(
+            low <= other[key] <= high
+            for multiple in load_effect(self.block.name).multiples(setting)
+            for key, value in multiple.items()
+            for low, high in [find_bracket(self.neighbours(self.block.settings[0], key), value)]
+        )
+
+    def has_likelier_neighbour(self, log_p: Callable[[Mapping[str, float]], float]) -> bool:
+        """Whether one of the next scanned values of a number is likelier than the best setting."""
+        setting = self.block.settings[self.best.setting]
+        for key, scanned in self.list_refined(setting).items():
+            at = scanned.index(setting[key])
+            near = [scanned[k] for k in (at - 1, at + 1) if 0 <= k < len(scanned)]
+            if any(log_p({**setting, key: value}) > log_p(setting) for value in near):
+                return True
+        return False
 
     def list_refined(self, setting: Mapping[str, float]) -> dict[str, list[float]]:
         """The continuous numbers of a scanned setting, with their scanned values."""
@@ -188,6 +207,18 @@ class Scan:
         more = self.at(setting)
         return Choice(more, 0, int(np.argmax(self.beside.weigh(more.alone)[0])))
 
+    def weigh_peak(self, start: Mapping[str, float]) -> tuple[float, Mapping[str, float]]:
+        """The log posterior of the peak about a setting, its height times its width, and the
+        setting there."""
+        setting = dict(start)
+        refined = self.list_refined(self.block.settings[self.best.setting])
+        for key, scanned in refined.items():
+            _, setting = self.find_best(key, scanned, setting)
+        sigma, widest = self.compute_sigma(setting), {k: np.ptp(v) for k, v in refined.items()}
+        width = sum(np.log(sigma.get(key, widest[key])) for key in refined)
+        height = np.logaddexp.reduce(self.beside.weigh(self.at(setting).alone), axis=None)
+        return float(height + width), setting
+
     def compute_sigma(self, refined: Mapping[str, float]) -> dict[str, float]:
         """The standard deviation of each number that was refined from the best scanned setting: one
         of them away, the logarithm of the posterior is lower by a half."""
@@ -199,6 +230,48 @@ class Scan:
             if bend > 0:
                 sigma[key] = bend**-0.5
         return sigma
+
+
+def find_bracket(scanned: Sequence[float], value: float) -> tuple[float, float]:
+    """The scanned values on both sides of the one that is next to a value."""
+    at = int(np.argmin(np.abs(np.array(scanned) - value)))
+    return scanned[max(at - 1, 0)], scanned[min(at + 1, len(scanned) - 1)]
+
+
+def weigh_settings(
+    scene: Scene, beside: Evidence, block: Block
+) -> list[tuple[Mapping[str, float], float]]:
+    """The settings of an effect beside other causes, each with its probability, the likeliest
+    first: of numbers that are refined, one for each peak of the posterior."""
+    weights = beside.weigh(block.alone)
+    log_p = np.logaddexp.reduce(weights, axis=1)
+    keys = [frozenset(one.items()) for one in block.settings]
+    likeliest = {keys[i]: int(i) for i in np.argsort(log_p) if keys[i]}
+    most = max(log_p[i] for i in likeliest.values())
+    # How high the peak may be of which a setting shows the rest.
+    highest = log_p + SCAN_LOSS / (1 - SCAN_LOSS) * np.maximum(log_p - beside.log_p, 0.0)
+    peaks = []
+    for i in likeliest.values():
+        scan = Scan(scene, beside, Choice(block, i, int(np.argmax(weights[i]))))
+        if highest[i] > most - NO_RIVAL and not scan.has_likelier_neighbour(
+            lambda setting: log_p[likeliest[frozenset(setting.items())]]
+        ):
+            peaks.append(scan.weigh_peak(block.settings[i]))
+    for _, setting in tuple(peaks):
+        for multiple in load_effect(block.name).multiples(setting):
+            if not any(scan.is_peak_at_multiple(setting, other) for _, other in peaks):
+                peaks.append(scan.weigh_peak({**setting, **multiple}))
+    # Of what fits as well, the multiple is meant.
+    doubted = [
+        any(
+            other > own - EQUAL_EVIDENCE and scan.is_peak_at_multiple(setting, multiple)
+            for other, multiple in peaks
+        )
+        for own, setting in peaks
+    ]
+    found = np.array([weight for weight, _ in peaks]) - EQUAL_EVIDENCE * np.array(doubted)
+    p = np.exp(found - np.logaddexp.reduce(found))
+    return [(peaks[i][1], float(p[i])) for i in np.argsort(-p)]
 
 
 def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:

@@ -17,6 +17,7 @@ import numpy as np
 from parallel_cal.causes.effects import (
     compute_effect_columns,
     find_new_parameters,
+    weigh_settings,
 )
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.causes import Causes, Doubt, as_effects, find_swaps
@@ -29,6 +30,7 @@ from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior
 
 MAX_LINEARISATIONS = 2
+MIN_SHOWN = 0.01  # probability of a setting that is listed
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,8 @@ class Explanation:
                     absurd |= rivals
                     continue
                 best = search.fit_as_shown(*chosen)
-                return replace(found, best=best, absurd=absurd, doubt=doubt)
+                described = replace(described, settings=_weigh_settings(causes, described))
+                return replace(found, described=described, best=best, absurd=absurd, doubt=doubt)
             known.append(frozenset(chosen))
             causes = Causes.of(_scene_about(base, nearer, bool(first)), names)
 
@@ -196,15 +199,35 @@ class Explanation:
         return {name: self.posterior.probability[name] for name in names}
 
     def missing(self, names: Sequence[str]) -> list[dict[str, Any]]:
-        """For each of these effects, what it may be, and how probable it is that the robot has one
-        of them, and each of them."""
+        """For each of these effects, what it may be, how probable it is that the robot has one of
+        them, and each of them, and the probabilities of the numbers that were scanned."""
         found = []
         for name in names:
             effects = [name, *self.swaps.get(name, [])]
             each = {one: self.probability_of(one) or 0.0 for one in effects}
             together = 1.0 if name in self.first else self.posterior.of_any(effects)
-            found.append({"effects": effects, "probability": together, "each": each})
+            cause = {"effects": effects, "probability": together, "each": each}
+            settings = {
+                one: [{"values": values, "probability": p} for values, p in weighed]
+                for one in effects
+                if (weighed := self.described.settings.get(one))
+            }
+            found.append({**cause, "settings": settings})
         return found
+
+
+def _weigh_settings(
+    causes: Causes, found: Posterior
+) -> dict[str, list[tuple[Mapping[str, float], float]]]:
+    """The likely settings of each effect that a sum found, with their probabilities."""
+    blocks, settings = {block.name: block for block in causes.blocks}, {}
+    for one in found.chosen:
+        if one.block.kind == EFFECT and one.is_scanned:
+            rest = [other for other in found.chosen if other is not one]
+            beside = causes.sum.evidence(rest, found.nu)
+            weighed = weigh_settings(causes.scene, beside, blocks[one.block.name])
+            settings[one.block.name] = [each for each in weighed if each[1] > MIN_SHOWN]
+    return settings
 
 
 def _is_lasting_error_of_device(name: str) -> bool:

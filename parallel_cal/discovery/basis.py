@@ -13,9 +13,19 @@ from parallel_cal.discovery.thresholds import (
     WAVES,
 )
 
+# Orders of the polynomials of two drivers that are multiplied.
+LOW_ORDERS = np.array(
+    [
+        (i, j)
+        for i in range(MAX_DEGREE + 1)
+        for j in range(MAX_DEGREE + 1)
+        if i + j <= MAX_DEGREE + 1
+    ]
+).T
+
 
 def splines(drivers: Sequence[Driver], count: int) -> np.ndarray:
-    """Columns (members, N, count) of one driver, the same functions for every member.
+    """Columns (members, count, N) of one driver, the same functions for every member.
 
     They are cubic B-splines with knots at quantiles, so that each column sees samples. A driver of
     few values has polynomials through these values. Columns that a driver lacks are zero.
@@ -28,44 +38,37 @@ def splines(drivers: Sequence[Driver], count: int) -> np.ndarray:
     inner = np.quantile(values, np.linspace(0, 1, count - MAX_DEGREE + 1))
     inner = np.unique(inner)
     knots = np.r_[[inner[0]] * MAX_DEGREE, inner, [inner[-1]] * MAX_DEGREE]
-    out = np.zeros((*values.shape, count))
-    for rows, own in zip(out, values, strict=True):
+    out = np.zeros((len(values), count, values.shape[1]))
+    for columns, own in zip(out, values, strict=True):
         design = BSpline.design_matrix(own, knots, MAX_DEGREE).toarray()
-        rows[:, : design.shape[1]] = design
+        columns[: design.shape[1]] = design.T
     return out
 
 
 def lines(drivers: Sequence[Driver]) -> np.ndarray:
-    """One column (members, N, 1) in proportion to a driver."""
+    """One column (members, 1, N) in proportion to a driver."""
     values = np.array([one.values for one in drivers])
-    return np.asarray(values[:, :, None] / np.abs(values).max())
+    return np.asarray(values[:, None] / np.abs(values).max())
 
 
 def polynomials(drivers: Sequence[Driver]) -> np.ndarray:
-    """Legendre polynomials (members, N, MAX_DEGREE + 1) of one driver."""
+    """Legendre polynomials (members, MAX_DEGREE + 1, N) of one driver."""
     return _polynomials(np.array([one.values for one in drivers]), MAX_DEGREE)
 
 
 def products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Columns (members, N, k) of two drivers: products of their `polynomials` of low order."""
-    pairs = [
-        a[:, :, i] * b[:, :, j]
-        for i in range(MAX_DEGREE + 1)
-        for j in range(MAX_DEGREE + 1)
-        if i + j <= MAX_DEGREE + 1
-    ]
-    return np.stack(pairs, axis=2)
+    """Columns (members, k, N) of two drivers: products of their `polynomials` of low order."""
+    return np.asarray(a[:, LOW_ORDERS[0]] * b[:, LOW_ORDERS[1]])
 
 
 def _polynomials(values: np.ndarray, degree: int) -> np.ndarray:
-    """Legendre polynomials (members, N, degree + 1) over the range of values (members, N); of few
+    """Legendre polynomials (members, degree + 1, N) over the range of values (members, N); of few
     values, only as many as these determine, and zeros."""
     low, high = values.min(), values.max()
     x = (2 * values - low - high) / (high - low)
-    out = np.polynomial.legendre.legvander(x, degree)
-    levels = len(np.unique(values))
-    out[:, :, levels:] = 0.0
-    return out
+    out = np.polynomial.legendre.legvander(x, degree).transpose(0, 2, 1)
+    out[:, len(np.unique(values)) :] = 0.0
+    return np.ascontiguousarray(out)
 
 
 def frequencies(values: np.ndarray) -> np.ndarray:
@@ -77,6 +80,11 @@ def frequencies(values: np.ndarray) -> np.ndarray:
 
 
 def waves(drivers: Sequence[Driver], at: np.ndarray) -> np.ndarray:
-    """Sine and cosine (members, N, k, 2) of one driver at angular frequencies (k,)."""
-    angle = np.array([one.values for one in drivers])[:, :, None] * at
-    return np.stack([np.sin(angle), np.cos(angle)], axis=3)
+    """Sine and cosine (members, k, 2, N) of one driver at evenly spaced angular frequencies (k,):
+    powers of the complex wave of their distance."""
+    values = np.array([one.values for one in drivers])
+    turned = np.empty((len(values), len(at), values.shape[1]), complex)
+    turned[:, 0] = np.exp(1j * at[0] * values)
+    turned[:, 1:] = np.exp(1j * np.ptp(at) / max(len(at) - 1, 1) * values)[:, None]
+    np.cumprod(turned, axis=1, out=turned)
+    return np.stack([turned.imag, turned.real], axis=2)

@@ -33,7 +33,7 @@ from parallel_cal.discovery.places import (
     list_sites,
 )
 from parallel_cal.discovery.proof import Proof, prove_all
-from parallel_cal.discovery.screening import Screening
+from parallel_cal.discovery.screening import Screening, Targets
 from parallel_cal.discovery.search import Search, Winner, find_thresholds, find_winners
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
@@ -144,7 +144,8 @@ def discover(
         if one.evidence > threshold
     ]
     nothing = np.zeros((len(scene.residual), 0))
-    proofs = [Proof(base.model, base, base.estimate.chi2_per_dof, nothing, [], [])]
+    left = Targets.of(scene, scene.residual[:, None], nothing)
+    proofs = [Proof(base.model, base, nothing, left, [], [])]
     for k, (winner, threshold) in enumerate(real):
         report("testing a law at held-out poses", 0.8 + 0.2 * k / len(real))
         prove = partial(prove_all, proofs[-1], dataset=dataset, options=options, scene=scene)
@@ -152,7 +153,7 @@ def discover(
         if winner.alone is not None and any(law.against for law in proof.laws):
             # Without a part that was refused, the law that the parts replaced may be the better.
             alone = prove([(winner.alone, threshold)], run=run)
-            proof = min(proof, alone, key=lambda one: one.chi2_per_dof)
+            proof = min(proof, alone, key=lambda one: one.left.chi2_per_dof)
         proofs.append(proof)
     found = [law for one in proofs for law in one.laws]
     advice = [_advise(scene, winner, drivers) for one in proofs for winner in one.winners]

@@ -8,7 +8,7 @@ Together, their places and coefficients are as well determined as the data allow
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def find_parts(
     """
     places = {start.hypothesis.key: start.hypothesis}
     for one in hypotheses:
-        places.setdefault(one.key, replace(one, wave=start.hypothesis.wave))
+        places.setdefault(one.key, one)
     choice = _Choice(targets, start, list(places.values()))
     chosen, best = [0], choice.judge([0])
     while len(chosen) < limit:
@@ -74,36 +74,68 @@ class _Choice:
         self._total = float(self._residual @ self._residual)
         Q = targets.directions
         self._scales = [1 / np.maximum(np.linalg.norm(own, axis=0), 1e-12) for own in self._raw]
-        unit = [own * scale for own, scale in zip(self._raw, self._scales, strict=True)]
-        self._projected = [own - Q @ (Q.T @ own) for own in unit]
-        everything = np.hstack(self._projected)
-        self._starts = np.r_[0, np.cumsum([own.shape[1] for own in unit])]
-        self._gram = everything.T @ everything
-        self._onto = everything.T @ self._residual
+        self._columns = np.hstack(
+            [own * scale for own, scale in zip(self._raw, self._scales, strict=True)]
+        )
+        self._columns -= Q @ (Q.T @ self._columns)
+        self._starts = np.r_[0, np.cumsum([own.shape[1] for own in self._raw])]
+        self._onto = self._columns.T @ self._residual
+        self._products: dict[int, np.ndarray] = {}
+        each = [self._columns[:, self._columns_of([k])] for k in range(len(hypotheses))]
+        self._own = [own.T @ own for own in each]
+        widths = np.array([own.shape[1] for own in each])
+        self._alike = [np.flatnonzero(widths == width).tolist() for width in np.unique(widths)]
+
+    def _multiply(self, number: int) -> np.ndarray:
+        """Products of all columns with those of one place, computed once."""
+        if number not in self._products:
+            own = self._columns[:, self._columns_of([number])]
+            self._products[number] = self._columns.T @ own
+        return self._products[number]
+
+    def _grams(self, others: Sequence[int], numbers: Sequence[int]) -> np.ndarray:
+        """Products (c, k, k) of the columns of other places and of each one of c places with
+        equally many columns."""
+        beside = [np.zeros((len(self._onto), 0)), *(self._multiply(k) for k in others)]
+        left, at = np.hstack(beside), np.array([self._columns_of([k]) for k in numbers])
+        (c, width), m = at.shape, left.shape[1]
+        gram = np.empty((c, m + width, m + width))
+        gram[:, :m, :m] = left[self._columns_of(others)]
+        gram[:, m:, :m] = left[at]
+        gram[:, :m, m:] = left[at].transpose(0, 2, 1)
+        gram[:, m:, m:] = [self._own[k] for k in numbers]
+        return gram
 
     def _columns_of(self, chosen: Sequence[int]) -> np.ndarray:
-        return np.concatenate([np.arange(*self._starts[k : k + 2]) for k in chosen])
+        parts = [np.arange(*self._starts[k : k + 2]) for k in chosen]
+        return np.concatenate([np.zeros(0, int), *parts])
+
+    def judge_each(self, others: Sequence[int]) -> np.ndarray:
+        """Evidence of other places together with each place."""
+        found = np.empty(len(self._own))
+        for numbers in self._alike:
+            gram = self._grams(others, numbers)
+            at = np.array([self._columns_of([*others, k]) for k in numbers])
+            squares, V = np.linalg.eigh(gram)
+            visible = squares > MIN_COLUMN_REMAINDER**2
+            g = (self._onto[at][:, None] @ V)[:, 0]
+            explained = np.sum(np.where(visible, g**2 / np.maximum(squares, 1e-300), 0.0), axis=1)
+            rank = visible.sum(axis=1) + self._start.scanned
+            found[numbers] = evidence(explained, self._total, rank, self._targets.dof)
+        return found
 
     def judge(self, chosen: Sequence[int]) -> float:
         """Evidence of some places together."""
-        at = self._columns_of(chosen)
-        squares, V = np.linalg.eigh(self._gram[np.ix_(at, at)])
-        visible = squares > MIN_COLUMN_REMAINDER**2
-        g = (V[:, visible].T @ self._onto[at]) / np.sqrt(squares[visible])
-        rank = int(visible.sum()) + self._start.scanned
-        explained = np.array(float(g @ g))
-        return float(evidence(explained, np.array(self._total), np.array(rank), self._targets.dof))
+        return float(self.judge_each(chosen[:-1])[chosen[-1]])
 
     def find_best(self, others: Sequence[int]) -> tuple[int, float]:
         """The place of the robot that describes the data best beside others, and the evidence of
         all."""
-        judged = [
-            (self.judge([*others, k]), k)
-            for k, one in enumerate(self._hypotheses)
-            if k not in others and one.site.kind != DEVICE
-        ]
-        gained, number = max(judged, default=(-np.inf, 0))
-        return number, gained
+        able = [one.site.kind != DEVICE for one in self._hypotheses]
+        judged = np.where(able, self.judge_each(others), -np.inf)
+        judged[list(others)] = -np.inf
+        number = int(np.argmax(judged))
+        return number, float(judged[number])
 
     def exchange(self, chosen: Sequence[int]) -> list[int]:
         """Exchange each place for a better one, as long as this makes the data likelier."""
@@ -126,10 +158,11 @@ class _Choice:
         for k, number in enumerate(chosen):
             others = [*chosen[:k], *chosen[k + 1 :]]
             formula = self._write(number, values[k], sigmas[k], whole - self.judge(others))
+            judged = self.judge_each(others)
             equal = [
                 self._write_beside(others, other)
                 for other in range(len(self._hypotheses))
-                if other not in chosen and self.judge([*others, other]) > whole - EQUAL_EVIDENCE
+                if other not in chosen and judged[other] > whole - EQUAL_EVIDENCE
             ]
             equal.sort(key=lambda one: one.preference)
             parts.append(Part(formula, tuple(equal)))
@@ -139,7 +172,7 @@ class _Choice:
         """The coefficients of each place, fitted together, and their standard deviations."""
         at = self._columns_of(chosen)
         inverse = np.linalg.pinv(
-            self._gram[np.ix_(at, at)], rcond=MIN_COLUMN_REMAINDER**2, hermitian=True
+            self._grams(chosen[:-1], chosen[-1:])[0], rcond=MIN_COLUMN_REMAINDER**2, hermitian=True
         )
         found = -inverse @ self._onto[at]  # the error cancels the residual
         rest = self._total + float(found @ self._onto[at])

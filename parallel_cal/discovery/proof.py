@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from parallel_cal.base.parallel import Runner
-from parallel_cal.diagnosis.addition import find_addition, with_noise_of
+from parallel_cal.diagnosis.addition import find_addition
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.verdict import share_explained
@@ -43,14 +43,13 @@ from parallel_cal.session.steps import Step, step_of
 
 @dataclass(frozen=True)
 class Proof:
-    """Laws that were judged one after the other: the model with those that were accepted, its fit
-    with chi2/dof in units of the noise of the scene, and their columns (n, k) beside those of
-    earlier laws."""
+    """Laws that were judged one after the other: the model with those that were accepted, its fit,
+    their columns (n, k) beside those of earlier laws, and what is left of the residual."""
 
     model: Model
     fit: FitResult
-    chi2_per_dof: float
     columns: np.ndarray
+    left: Targets
     laws: list[Law]
     winners: list[Winner]
 
@@ -66,19 +65,19 @@ def prove_all(
     """Judge laws, each with its limit, beside those that were accepted before."""
     proof = replace(before, laws=[], winners=[winner for winner, _ in winners])
     for winner, threshold in winners:
-        targets = Targets.of(scene, scene.residual[:, None], proof.columns)
-        choice = choose_in_folds(targets, winner.formula, run)
-        law, step, chi2 = _prove(winner, threshold, choice, proof, dataset, options, scene)
+        choice = choose_in_folds(proof.left, winner.formula, run)
+        columns = np.hstack([proof.columns, winner.formula.columns])
+        left = Targets.of(scene, scene.residual[:, None], columns)
+        law, step = _prove(winner, threshold, choice, proof, left, dataset, options, scene)
         proof.laws.append(law)
         if law.against:
             continue
-        columns = np.hstack([proof.columns, winner.formula.columns])
         # The next fit starts at the values of this one, in the frames that were placed for it.
         start = step.result.start.with_values(step.result.model.values)
         fit = replace(step.result, start=start)
         history = (*proof.model.history, step.model.history[-1])
         model = replace(step.model, history=history)
-        proof = replace(proof, model=model, fit=fit, chi2_per_dof=chi2, columns=columns)
+        proof = replace(proof, model=model, fit=fit, columns=columns, left=left)
     return proof
 
 
@@ -87,14 +86,13 @@ def _prove(
     threshold: float,
     choice: Choice,
     proof: Proof,
+    left: Targets,
     dataset: Dataset,
     options: FitOptions,
     scene: Scene,
-) -> tuple[Law, Step, float]:
-    """Judge a law as `add` judges an effect, and describe it with the refitted numbers.
-
-    The last value is chi2/dof with the law, in units of the noise of the scene.
-    """
+) -> tuple[Law, Step]:
+    """Judge a law as `add` judges an effect, and describe it with the refitted numbers; `left` is
+    what it leaves of the residual."""
     formula = winner.formula
     hypothesis = formula.hypothesis
     sentence, tested = describe_law(hypothesis), list_ranges(hypothesis)
@@ -112,7 +110,6 @@ def _prove(
         p = refitted[f"{name}.{c.name}"]
         coefficients.append(replace(c, value=p.value, sigma=None if c.scanned else p.sigma))
     own = {c.name: (c.value, c.sigma) for c in coefficients}
-    after = with_noise_of(step.result, scene.observations).estimate.chi2_per_dof
     noise = NoiseLevel.of(scene, Field.of(scene), structured=True).variance
     rivals: dict[str, str] = {}
     for one in winner.equal:
@@ -126,7 +123,7 @@ def _prove(
         formula=write_formula(formula),
         unit=hypothesis.site.unit,
         parameters=tuple(coefficients),
-        share=share_explained(proof.chi2_per_dof, after, noise),
+        share=share_explained(proof.left.chi2_per_dof, left.chi2_per_dof, noise),
         before=step.acceptance.before,
         after=step.acceptance.after,
         noise_floor=step.result.noise_floor,
@@ -143,7 +140,7 @@ def _prove(
         shape=find_shape(scene, formula),
         rivals=rivals,
     )
-    return law, step, after
+    return law, step
 
 
 def _find_objection(winner: Winner, choice: Choice, step: Step, name: str) -> tuple[str, bool]:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from parallel_cal.discovery.thresholds import (
 )
 from parallel_cal.posterior.scene import Scene
 
+T = TypeVar("T")
 # One driver for every member of a site: `load` of its own joint, or `payload` for all.
 DriverSet = tuple[Driver, ...]
 # Families of drivers that an error of a device knows.
@@ -46,11 +47,10 @@ OF_DEVICE = {*PLACES, "time", "temperature", LAGGED, "session"}
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A site errs with one or two drivers; `wave` is an angular frequency of the first one."""
+    """A site errs with one or two drivers."""
 
     site: Site
     drivers: tuple[DriverSet, ...]
-    wave: float | None = None
 
     @property
     def families(self) -> tuple[str, ...]:
@@ -70,6 +70,11 @@ class Hypothesis:
         """Equal for hypotheses that are one answer: time constants of a lag are not told apart."""
         lags = {own[0].name: own[0].family for own in self.drivers if own[0].family == LAGGED}
         return *self.site.key, frozenset(lags.get(name, name) for name in self.families)
+
+    @property
+    def exact_key(self) -> tuple[str, bool, tuple[str, ...]]:
+        """Equal for hypotheses of the same site and the same drivers."""
+        return *self.site.key, self.families
 
     def uses(self, driver: Driver) -> bool:
         """Whether a driver, or the same one of other joints, is one of its drivers."""
@@ -111,6 +116,11 @@ class Targets:
         dof = scene.dof - (Q.shape[1] - scene.basis.shape[1])
         return cls(Q, left, scene.rows, dof, scene.group)
 
+    @property
+    def chi2_per_dof(self) -> float:
+        """That of the first residual."""
+        return float(self.residuals[:, 0] @ self.residuals[:, 0]) / max(self.dof, 1)
+
 
 @dataclass(frozen=True)
 class Scored:
@@ -120,7 +130,9 @@ class Scored:
     evidence: np.ndarray
 
 
-def evidence(explained: np.ndarray, total: np.ndarray, rank: np.ndarray, dof: int) -> np.ndarray:
+def evidence(
+    explained: np.ndarray, total: np.ndarray | float, rank: np.ndarray, dof: int
+) -> np.ndarray:
     """Log of how much likelier a residual is with `rank` columns that explain some of its sum of
     squares: dof/2 log(total / rest) - rank/2 log(dof) (Schwarz 1978), noise of unknown size."""
     rest = np.maximum(total - explained, 1e-12 * total)
@@ -131,11 +143,11 @@ class Screening:
     """All hypotheses about a robot's residuals, and their scores."""
 
     def __init__(self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver]) -> None:
-        self._sites, self._drivers = sites, drivers
+        self._sites, self._drivers, self._basis = sites, drivers, scene.basis
         # Where the device stood elsewhere, too, what moves the platform may be the robot's.
         self._has_stations = any(one.owner == DEVICE for one in drivers)
         # Bases, which sites share, and products of columns, which all residuals share.
-        self._known: dict[tuple[Any, ...], np.ndarray] = {}
+        self._known: dict[tuple[Any, ...], Any] = {}
         self._pairs: dict[tuple[Any, ...], list[tuple[DriverSet, DriverSet]]] = {}
         self._n, self._n_joints = len(scene.x), len(scene.model.joints)
 
@@ -164,13 +176,12 @@ class Screening:
     def _polynomials(self, own: DriverSet) -> np.ndarray:
         return self._compute_once("polynomials", _name(own), lambda: basis.polynomials(own))
 
-    def _compute_once(
-        self, kind: int | str, names: Iterable[Any], compute: Callable[[], np.ndarray]
-    ) -> np.ndarray:
+    def _compute_once(self, kind: int | str, names: Iterable[Any], compute: Callable[[], T]) -> T:
         key = kind, *names
         if key not in self._known:
             self._known[key] = compute()
-        return self._known[key]
+        known: T = self._known[key]
+        return known
 
     def score(self, targets: Targets, run: Runner = run_on_cores) -> Iterator[Scored]:
         """Score all hypotheses, site by site."""
@@ -181,7 +192,7 @@ class Screening:
     def score_site(self, site: Site, targets: Targets) -> list[Scored]:
         """Score the hypotheses about one site."""
         total = np.sum(targets.residuals**2, axis=0)
-        work, scored = _SiteWork(site, targets), list[Scored]()
+        work, scored = _SiteWork(site, self._basis, targets), list[Scored]()
         for number, (hypotheses, columns) in enumerate(self._iterate_bases(site)):
             multiply = partial(work.multiply, columns)
             products = self._compute_once("products", (*site.key, number), multiply)
@@ -191,7 +202,7 @@ class Screening:
         return scored
 
     def _iterate_bases(self, site: Site) -> Iterator[tuple[list[Hypothesis], np.ndarray]]:
-        """Iterate over hypotheses with their columns (members, hypotheses, N, k)."""
+        """Iterate over hypotheses with their columns (members, hypotheses, k, N)."""
         sets = self._driver_sets(site)
         alone = [own for own in sets if self._is_plausible(site, own)]
         yield from _chunks(
@@ -221,8 +232,8 @@ class Screening:
             )
         for own in turning:
             at = basis.frequencies(np.concatenate([one.values for one in own]))
-            columns = basis.waves(own, at).transpose(0, 2, 1, 3)
-            yield [Hypothesis(site, (own,), float(w)) for w in at], columns
+            columns = basis.waves(own, at)
+            yield [Hypothesis(site, (own,))] * len(at), columns
 
     def _list_pairs(
         self, site: Site, sets: Sequence[DriverSet]
@@ -331,7 +342,7 @@ def _score_site(shared: tuple[Screening, Targets], site: Site) -> list[Scored]:
 def _chunks(
     items: Iterator[tuple[list[Hypothesis], np.ndarray]],
 ) -> Iterator[tuple[list[Hypothesis], np.ndarray]]:
-    """Join hypotheses with columns (members, N, k) of equal shape, as many as memory allows."""
+    """Join hypotheses with columns (members, k, N) of equal shape, as many as memory allows."""
     waiting: list[tuple[list[Hypothesis], np.ndarray]] = []
 
     def joined() -> tuple[list[Hypothesis], np.ndarray]:
@@ -347,47 +358,82 @@ def _chunks(
         yield joined()
 
 
+class _Products(NamedTuple):
+    """Of columns of hypotheses: what scales them to length 1 (h, s), their products (h, s, s) with
+    this length and without what the geometry can imitate, and `orthonormalise` of these."""
+
+    scale: np.ndarray
+    left: np.ndarray
+    root: np.ndarray
+    rank: np.ndarray
+
+
 class _SiteWork:
-    """Sums over rows that all hypotheses about one site share."""
+    """Sums over rows that all hypotheses about one site share. The targets' directions are a
+    `basis` of what the geometry can imitate, and those of laws that were found."""
 
-    def __init__(self, site: Site, targets: Targets):
-        both = np.hstack([targets.directions, targets.residuals])
-        self._p, self._each = targets.directions.shape[1], site.each
-        by_sample = both.reshape(-1, targets.rows, both.shape[1])
-        J = np.array([place.columns for place in site.members])  # (members, N, rows)
-        self._along = np.einsum("jnr,nrm->jnm", J, by_sample, optimize=True)
-        self._weights = np.einsum("inr,jnr->ijn", J, J, optimize=True)
+    def __init__(self, site: Site, basis: np.ndarray, targets: Targets):
+        self._rows, self._each, self._basis = targets.rows, site.each, basis
+        self._J = np.array([place.columns for place in site.members])  # (members, N, rows)
+        found = targets.directions[:, basis.shape[1] :]
+        self._n_found = found.shape[1]
+        self._along = self._sum_rows(np.hstack([found, targets.residuals]))
 
-    def multiply(self, W: np.ndarray) -> np.ndarray:
-        """Products (h, s, s) of what columns W (members, h, N, k) change in the residuals."""
-        members, h, _, k = W.shape
+    def _sum_rows(self, vectors: np.ndarray) -> np.ndarray:
+        """What an error of each member at each sample has in common with vectors (n, m):
+        (members, N, m)."""
+        by_sample = vectors.reshape(-1, self._rows, vectors.shape[1])
+        return np.einsum("jnr,nrm->jnm", self._J, by_sample, optimize=True)
+
+    @cached_property
+    def _along_basis(self) -> np.ndarray:
+        return self._sum_rows(self._basis)
+
+    @cached_property
+    def _weights(self) -> np.ndarray:
+        return np.einsum("inr,jnr->ijn", self._J, self._J, optimize=True)
+
+    def multiply(self, W: np.ndarray) -> _Products:
+        """Products of what columns W (members, h, k, N) change in the residuals."""
+        members, h, k, _ = W.shape
         gram = np.empty((h, members, k, members, k))
         for i in range(members):
             for j in range(i, members):
-                weighted = W[j] * self._weights[i, j][:, None]
-                block = W[i].transpose(0, 2, 1) @ weighted
+                block = W[i] @ (W[j] * self._weights[i, j]).transpose(0, 2, 1)
                 gram[:, i, :, j] = block
                 gram[:, j, :, i] = block.transpose(0, 2, 1)
         size = members * k
-        return gram.reshape(h, size, size) if self._each else np.asarray(gram.sum(axis=(1, 3)))
-
-    def explain(self, W: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Explained sums of squares (h, m) and ranks (h,) of columns W (members, h, N, k) with the
-        products G (h, s, s)."""
-        members, h, n, k = W.shape
-        flat = W.transpose(0, 1, 3, 2).reshape(members, h * k, n)
-        onto = (flat @ self._along).reshape(members, h, k, -1)
-        if self._each:
-            B = onto.transpose(1, 0, 2, 3).reshape(h, members * k, -1)
-        else:
-            B = onto.sum(axis=0)
-        along, onto = B[:, :, : self._p], B[:, :, self._p :]
+        G = gram.reshape(h, size, size) if self._each else np.asarray(gram.sum(axis=(1, 3)))
         lengths = np.sqrt(np.maximum(np.diagonal(G, axis1=1, axis2=2), 0.0))
         scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
+        along = self._project(W, self._along_basis)
         left = (G - along @ along.transpose(0, 2, 1)) * scale[:, :, None] * scale[:, None, :]
-        squares, directions = np.linalg.eigh(left)
-        visible = squares > MIN_COLUMN_REMAINDER**2
-        inverse = np.where(visible, np.maximum(squares, 1e-300) ** -0.5, 0.0)
-        U = directions * inverse[:, None, :] * scale[:, :, None]
-        g = U.transpose(0, 2, 1) @ onto
-        return np.sum(g**2, axis=1), visible.sum(axis=1)
+        return _Products(scale, left, *_orthonormalise(left))
+
+    def _project(self, W: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """Products (h, s, m) of columns W (members, h, k, N) with vectors `along` the members
+        (members, N, m)."""
+        members, h, k, n = W.shape
+        onto = (W.reshape(members, h * k, n) @ along).reshape(members, h, k, -1)
+        if self._each:
+            return onto.transpose(1, 0, 2, 3).reshape(h, members * k, -1)
+        return np.asarray(onto.sum(axis=0))
+
+    def explain(self, W: np.ndarray, products: _Products) -> tuple[np.ndarray, np.ndarray]:
+        """Explained sums of squares (h, m) and ranks (h,) of columns W (members, h, k, N) with
+        their products."""
+        B = self._project(W, self._along) * products.scale[:, :, None]
+        along, onto = B[:, :, : self._n_found], B[:, :, self._n_found :]
+        root, rank = products.root, products.rank
+        if self._n_found:
+            root, rank = _orthonormalise(products.left - along @ along.transpose(0, 2, 1))
+        return np.sum((root.transpose(0, 2, 1) @ onto) ** 2, axis=1), rank
+
+
+def _orthonormalise(products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T (h, s, s) of the orthonormal columns B T that span columns B with these products (h, s, s),
+    zero for what is left of them by rounding, and their number (h,)."""
+    squares, directions = np.linalg.eigh(products)
+    visible = squares > MIN_COLUMN_REMAINDER**2
+    inverse = np.where(visible, np.maximum(squares, 1e-300) ** -0.5, 0.0)
+    return directions * inverse[:, None, :], visible.sum(axis=1)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -93,11 +93,29 @@ class Search:
 
 
 @dataclass(frozen=True)
+class Formulas:
+    """The formulas of hypotheses about the first residual of the targets, each searched once."""
+
+    targets: Targets
+    run: Runner = run_on_cores
+    _known: dict[tuple[Any, ...], Formula | None] = field(default_factory=dict, repr=False)
+
+    def find(self, hypotheses: Iterable[Hypothesis]) -> list[Formula]:
+        """The formula of each of different hypotheses; none for one that no term describes."""
+        wanted = {one.exact_key: one for one in hypotheses}
+        new = [one for key, one in wanted.items() if key not in self._known]
+        with running(self.run, find_formula, self.targets, new) as found:
+            for one, formula in zip(new, found, strict=True):
+                self._known[one.exact_key] = formula
+        return [formula for key in wanted if (formula := self._known[key]) is not None]
+
+
+@dataclass(frozen=True)
 class _Best:
     """The best law in what earlier ones leave, and the hypotheses with their evidence."""
 
     winner: Winner
-    targets: Targets
+    formulas: Formulas
     scored: Sequence[tuple[float, Hypothesis]]
 
 
@@ -158,28 +176,24 @@ def _find_best(search: Search, columns: np.ndarray) -> _Best | None:
     if not scored or scored[0][0] < np.log(len(scored)):
         return None
     search.report("searching formulas", 0.3)
-    winner = find_winner(targets, scored, search.run)
+    formulas = Formulas(targets, search.run)
+    winner = find_winner(formulas, scored)
     if winner is None:
         return None
-    formula = _refine_lag(targets, winner.formula, search)
-    formula = refine_members(targets, formula, search.screening)
+    formula = _refine_lag(formulas, winner.formula, search)
+    formula = refine_members(formulas, formula, search.screening)
     equal = tuple(one for one in winner.equal if one.hypothesis.key != formula.hypothesis.key)
-    return _Best(replace(winner, formula=formula, equal=equal), targets, scored)
+    return _Best(replace(winner, formula=formula, equal=equal), formulas, scored)
 
 
-def find_winner(
-    targets: Targets,
-    scored: Sequence[tuple[float, Hypothesis]],
-    run: Runner = run_on_cores,
-) -> Winner | None:
+def find_winner(formulas: Formulas, scored: Sequence[tuple[float, Hypothesis]]) -> Winner | None:
     """Find formulas for the best hypotheses; of those equally good, take the simplest."""
     found: dict[tuple[Any, ...], Formula] = {}
-    with running(run, find_formula, targets, _select_for_formulas(scored)) as formulas:
-        for formula in filter(None, formulas):
-            reduced = _reduce(formula)
-            key = reduced.hypothesis.key
-            if key not in found or found[key].evidence < reduced.evidence:
-                found[key] = reduced
+    for formula in formulas.find(_select_for_formulas(scored)):
+        reduced = _reduce(formula)
+        key = reduced.hypothesis.key
+        if key not in found or found[key].evidence < reduced.evidence:
+            found[key] = reduced
     if not found:
         return None
     best, *equal = sort_by_preference(list(found.values()))
@@ -232,11 +246,8 @@ def _find_parts(search: Search, best: _Best, limit: int) -> Parts | None:
     Where several parts err with the temperature, one of them alone describes less than a law with
     a second quantity that no part depends on.
     """
-    formula, targets, list_hypotheses = (
-        best.winner.formula,
-        best.targets,
-        search.screening.list_hypotheses,
-    )
+    formula, targets = best.winner.formula, best.formulas.targets
+    list_hypotheses = search.screening.list_hypotheses
     drivers = formula.hypothesis.drivers
     if formula.hypothesis.site.kind == DEVICE:
         return None
@@ -250,9 +261,8 @@ def _find_parts(search: Search, best: _Best, limit: int) -> Parts | None:
             for _, one in best.scored
             if len(one.drivers) == 1 and one.uses(own[0]) and one.site.kind != DEVICE
         ]
-        for one in begin[:MAX_TERMS]:
-            start = find_formula(targets, one)
-            if start is None:
+        for start in best.formulas.find(begin[:MAX_TERMS]):
+            if start is formula:  # the parts that it begins with were found above
                 continue
             parts = find_parts(targets, start, list_hypotheses(own[0]), limit)
             if parts is not None and parts.evidence > evidence:
@@ -260,7 +270,7 @@ def _find_parts(search: Search, best: _Best, limit: int) -> Parts | None:
     return found
 
 
-def _refine_lag(targets: Targets, formula: Formula, search: Search) -> Formula:
+def _refine_lag(formulas: Formulas, formula: Formula, search: Search) -> Formula:
     """The formula with the time constant that describes the data best."""
     own = formula.hypothesis.drivers[0]
     if own[0].family != LAGGED:
@@ -273,11 +283,10 @@ def _refine_lag(targets: Targets, formula: Formula, search: Search) -> Formula:
         for one in near
         if one is not own[0]
     ]
-    with running(search.run, find_formula, targets, hypotheses) as found:
-        return max([formula, *filter(None, found)], key=lambda one: one.evidence)
+    return max([formula, *formulas.find(hypotheses)], key=lambda one: one.evidence)
 
 
-def refine_members(targets: Targets, formula: Formula, screening: Screening) -> Formula:
+def refine_members(formulas: Formulas, formula: Formula, screening: Screening) -> Formula:
     """The formula with coefficients of each member's own, if the members differ significantly.
 
     Of equally good laws, that with one coefficient for all members is simpler, and says the place
@@ -286,15 +295,16 @@ def refine_members(targets: Targets, formula: Formula, screening: Screening) -> 
     from scipy.special import chdtrc
 
     hypothesis = screening.give_own_coefficients(formula.hypothesis)
-    own = find_formula(targets, hypothesis) if hypothesis else None
-    if own is None or own.used_drivers != formula.used_drivers:
+    found = formulas.find([hypothesis]) if hypothesis else []
+    if not found or found[0].used_drivers != formula.used_drivers:
         return formula
+    [own] = found
     added = own.numbers - formula.numbers
     gained = own.evidence - formula.evidence
     if added <= 0 or formula.hypothesis.slow:  # noise that changes slowly is no chi2
         return own if gained > 0 else formula
     # The evidence without what it subtracts for each coefficient: twice of it is chi2 by chance.
-    fall = 2 * gained + added * np.log(targets.dof)
+    fall = 2 * gained + added * np.log(formulas.targets.dof)
     return own if chdtrc(added, max(fall, 0.0)) < SIGNIFICANCE_LEVEL else formula
 
 
@@ -306,7 +316,7 @@ def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hyp
     single: dict[tuple[Any, ...], float] = {}
     for e, one in scored:
         if len(one.drivers) == 1:
-            key = (*one.site.key, one.families)
+            key = one.exact_key
             single[key] = max(single.get(key, -np.inf), e)
     for e, one in scored:
         if e < best - MAX_FORMULA_LAG or len(chosen) >= MAX_FORMULAS:

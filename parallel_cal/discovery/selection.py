@@ -156,16 +156,18 @@ class Selection:
         self._r = targets.residuals[:, 0]
         self._total = float(self._r @ self._r)
         self._J = np.array([place.columns for place in hypothesis.site.members])
-        along = self._sum_rows(targets.directions)
+        self._along = self._sum_rows(targets.directions)
         # Products of what errors of two members change at each sample.
-        weights = np.einsum("inr,jnr->ijn", self._J, self._J, optimize=True)
+        self._weights = np.einsum("inr,jnr->ijn", self._J, self._J, optimize=True)
         numbers_of: dict[int, list[int]] = {}
         for number, group in enumerate(groups):
             numbers_of.setdefault(len(group.terms), []).append(number)
         self._alike = [
-            _Alike.of(hypothesis, [groups[n] for n in numbers], numbers, along, weights)
-            for numbers in numbers_of.values()
+            self._compare([groups[n] for n in numbers], numbers) for numbers in numbers_of.values()
         ]
+
+    def _compare(self, groups: Sequence[Group], numbers: list[int]) -> _Alike:
+        return _Alike.of(self.hypothesis, groups, numbers, self._along, self._weights)
 
     def _sum_rows(self, vectors: np.ndarray) -> np.ndarray:
         """What an error of each member at each sample has in common with vectors (n, k):
@@ -244,19 +246,16 @@ class Selection:
         driver, factor = group.terms[0].factors[0]
         start = np.array(factor.constants)
         steps = scan_steps(self.hypothesis.drivers[driver], factor)
-        Q = self.targets.directions
         U = self._span(others)
+        r = self._r - U @ (U.T @ self._r)
+        along, left = self._sum_rows(U), self._sum_rows(r[:, None])
 
         def left_over(away: np.ndarray) -> float:
             constants = start + steps * away
             if np.any(np.abs(away) > 1.5) or (len(constants) > 1 and constants[1] <= 0):
                 return self._total
-            B = build_columns(self.hypothesis, with_constants(group, constants).terms)
-            B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-12)
-            B = B - Q @ (Q.T @ B)
-            B = B - U @ (U.T @ B)
-            fitted = np.linalg.lstsq(B, self._r, rcond=MIN_COLUMN_REMAINDER)[0]
-            return float(np.sum((self._r - B @ fitted) ** 2))
+            own = self._compare([with_constants(group, constants)], [number])
+            return self._total - float(own.explain(along, left)[0][0])
 
         simplex = np.vstack([np.zeros(len(start)), 0.5 * np.eye(len(start))])
         found = minimize(
@@ -306,18 +305,17 @@ class Selection:
 def _find_unstable(search: Selection, chosen: Sequence[int]) -> int | None:
     """The group whose terms all change their sign with the choice of the poses; None if all keep
     it. Visits of one pose stay together."""
-    group = search.targets.group
-    names = np.unique(group)
+    order = np.argsort(search.targets.group, kind="stable")
+    group = search.targets.group[order]
     rng = np.random.default_rng(0)
     B = search.build(chosen).projected
     Z = np.column_stack([B, search.targets.residuals[:, 0]])
-    rows = Z.reshape(-1, search.targets.rows, Z.shape[1])
-    grams = np.array(
-        [np.einsum("nri,nrj->ij", rows[group == name], rows[group == name]) for name in names]
-    )
-    k, found = B.shape[1], []
+    rows = Z.reshape(-1, search.targets.rows, Z.shape[1])[order].reshape(Z.shape)
+    ends = search.targets.rows * (np.flatnonzero(np.diff(group)) + 1)
+    grams = np.array([own.T @ own for own in np.split(rows, ends)])
+    k, n, found = B.shape[1], len(grams), []
     for _ in range(REDRAWS):
-        count = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
+        count = np.bincount(rng.integers(n, size=n), minlength=n)
         G = np.tensordot(count, grams, axes=1)
         found.append(np.linalg.pinv(G[:k, :k], rcond=1e-9, hermitian=True) @ G[:k, k])
     signs = np.abs(np.mean(np.sign(found), axis=0))

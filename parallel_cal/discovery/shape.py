@@ -53,7 +53,7 @@ def find_shape(scene: Scene, formula: Formula) -> Shape | None:
     law = np.concatenate(values)
     count, most = SPLINES, max(len(law) // SAMPLES_PER_NUMBER, SPLINES)
     while True:
-        W = basis.splines(own, count)
+        W = basis.splines(own, count).transpose(0, 2, 1)
         used = np.any(W != 0, axis=(0, 1))
         stacked = np.concatenate([W[m][:, used] for m in members])
         start = np.linalg.lstsq(stacked, law, rcond=None)[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -113,6 +113,22 @@ def make_waves(
         )
         for ending, words in waves.items()
         for part, label in WAVE.items()
+    ]
+
+
+def make_harmonics(
+    joint: str, unit: str, size: float, highest: float, waves: Sequence[str]
+) -> list[Parameter]:
+    """Return the amplitudes of the harmonics of a joint's error, for `wave`: 1, 2 and so on, with
+    labels that `waves` complete.
+
+    They usually fall with their order. Otherwise a wave would as likely be the second harmonic of
+    half of its ratio, without the first.
+    """
+    return [
+        amplitude
+        for order, words in enumerate(waves, 1)
+        for amplitude in make_waves(joint, unit, size / order, highest, {str(order): words})
     ]
 
 

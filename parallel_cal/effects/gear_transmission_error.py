@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.effects._joints import (
     SMOOTH,
     find_revolute_joints,
-    make_waves,
+    make_harmonics,
     needs_turning,
     shift_joints,
     sizes,
@@ -21,7 +21,7 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
 SIZE = {"rad": (0.3e-3, 3e-3), "m": (0.1e-3, 1e-3)}  # tolerance and upper bound; m of line
-WAVES = {"1": ", once per input turn", "2": ", twice per input turn"}
+WAVES = (", once per input turn", ", twice per input turn")
 RATIOS = (3.0, 150.0)  # below: an encoder's harmonics; above: too fine for the poses
 
 
@@ -54,7 +54,7 @@ class GearTransmissionError(Effect):
             amplitude
             for joint, unit, (size, most) in sizes(mechanism, SIZE)
             if unit == "rad"
-            for amplitude in make_waves(joint, unit, size, most, WAVES)
+            for amplitude in make_harmonics(joint, unit, size, most, WAVES)
         ]
         ratio = _find_spool_turns(mechanism)[0] if mechanism.winds else 50.0
         return [

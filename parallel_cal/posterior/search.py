@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +27,8 @@ Refine = Callable[[Evidence, Choice], Choice]
 class Posterior:
     """The likeliest set of causes, and what else is possible.
 
-    `probability` of each cause by name, `sets` the likeliest sets with theirs.
+    `probability` of each cause by name, `sets` the likeliest sets with theirs; `settings` the
+    likely numbers of each effect of which they were scanned, with theirs, if they were weighed.
     """
 
     chosen: tuple[Choice, ...]
@@ -35,6 +36,7 @@ class Posterior:
     sets: tuple[tuple[tuple[str, ...], float], ...]
     probability: Mapping[str, float]
     kinds: Mapping[str, str]
+    settings: Mapping[str, list[tuple[Mapping[str, float], float]]] = field(default_factory=dict)
 
     def of_any(self, names: Collection[str]) -> float:
         """Probability that the robot has at least one of these causes."""
@@ -192,7 +194,8 @@ class Sum:
         best = self._refined(beside, one.best)
         if best is one.best:
             return one
-        return max(one, *beside.rank(best.block.alone), key=lambda ranked: ranked.log_p)
+        [refined] = beside.rank(best.block.alone)
+        return replace(refined, log_p=max(one.log_p, refined.log_p))
 
     def _polish(self, chosen: tuple[Choice, ...], nu: float) -> tuple[Choice, ...]:
         """Choose each cause again beside all others, until they stay."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from parallel_cal.diagnosis.thresholds import CREDIBLE
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
@@ -178,7 +179,8 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
         yield Line("with it:", f"{errors} with {' and '.join(diagnosis.effects)}", FOUND)
     yield _state_noise(write, best.simulated_noise, best, best.estimate)
     for cause in diagnosis.missing:
-        yield Line("missing:", _join_rivals(cause["each"], "{name} {percent}"), ODD)
+        text = _join_rivals(cause["each"], "{name} {percent}")
+        yield Line("missing:", f"{text}{_describe_doubted(cause['settings'])}", ODD)
     if not diagnosis.missing:
         yield Line("missing:", "no effect of the catalogue")
     laws = [f"{name} ({format_percent(p)})" for name, p in diagnosis.explanation.laws.items()]
@@ -197,10 +199,26 @@ def describe_missing(diagnosis: Diagnosis) -> str:
     for cause in diagnosis.missing:
         each = {title_of(name): p for name, p in cause["each"].items()}
         text = _join_rivals(each, "{name}: {percent}")
+        text += _describe_doubted(cause["settings"])
         sentences.append(f"{text[0].upper()}{text[1:]}.")
     if not sentences:
         return "No known effect is missing."
     return " ".join(sentences)
+
+
+def _describe_doubted(settings: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    """Name the numbers that may be those of an effect, if not only one may be."""
+    text = ""
+    for likely in settings.values():
+        rivals = [one for one in likely if one["probability"] > 1 - CREDIBLE]
+        if len(rivals) > 1:
+            named = (f"{_write(one)} {format_percent(one['probability'])}" for one in rivals)
+            text += f"; {', or '.join(named)}"
+    return text
+
+
+def _write(setting: Mapping[str, Any]) -> str:
+    return " and ".join(f"{key} {value:.4g}" for key, value in setting["values"].items())
 
 
 def _join_rivals(each: Mapping[str, float], form: str) -> str:

@@ -7,13 +7,14 @@ import pytest
 
 import parallel_cal as pc
 from bench.truth import new_effects
-from parallel_cal.causes.effects import list_effect_blocks, scan_settings
+from parallel_cal.causes.effects import list_effect_blocks, scan_settings, weigh_settings
 from parallel_cal.diagnosis.addition import see
 from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.evidence import Choice
+from parallel_cal.reporting.summary import describe_missing
 
 LEGS = [f"leg{k}" for k in range(1, 7)]
 LEAD, SIZES = 5.36e-3, 3e-6 * np.array([1.0, -1.1, -1.2, 0.8, 1.0, -1.0])
@@ -56,6 +57,76 @@ def test_a_wave_is_weighed_at_its_peak_not_where_it_was_scanned():
     assert (
         float(f"{lead:.6g}") == lead
     )  # the digits that a person copies are those that were weighed
+
+
+def measure_wave(effect, number, parts, size, poses, seed):
+    """Samples of a delta whose joints have a wave of this size and, of all `parts`, this one."""
+    each = [
+        f"joint{k}.{part}={size * share if part == parts[0] else 0.0}"
+        for k, share in ((1, 1.0), (2, -1.2), (3, 0.9))
+        for part in parts
+    ]
+    hidden = f"{effect}:{number}," + ",".join(each)
+    return pc.simulate(new_model("delta54"), poses, seed, effects=[hidden]).dataset()
+
+
+def weigh_numbers(data, effect):
+    """The setting that the sum names, and the likely ones with their probabilities."""
+    causes = Causes.of(see(pc.fit(new_model("delta54"), data, hold_out=0)), [effect], kinds=())
+    found, _, [named] = causes.explain()
+    [block] = causes.blocks
+    nothing = causes.sum.evidence((), found.nu)
+    return named.settings, weigh_settings(causes.scene, nothing, block), block, nothing
+
+
+RIPPLE = ("gear_transmission_error", ("sin1", "cos1", "sin2", "cos2"))
+
+
+@pytest.mark.parametrize(("size", "seed"), [(0.2e-3, 4), (0.6e-3, 1)])
+def test_a_wave_is_not_taken_for_the_second_harmonic_of_half_its_ratio(size, seed):
+    """Both describe it by one wave; half the ratio was named, with a first harmonic of zero."""
+    effect, parts = RIPPLE
+    named, weighed, _, _ = weigh_numbers(
+        measure_wave(effect, "ratio=9.26", parts, size, 80, seed), effect
+    )
+    assert named["ratio"] == pytest.approx(9.26, abs=0.2)
+    assert weighed[0][0]["ratio"] == pytest.approx(named["ratio"], abs=1e-3)
+    [half] = [p for one, p in weighed if one["ratio"] == pytest.approx(9.26 / 2, abs=0.4)]
+    assert 0 < half < 0.01
+
+
+def test_a_named_number_is_at_its_peak_where_others_are_likely_too():
+    """It stayed as it was scanned, since all that were scanned are together likelier than one."""
+    effect, parts = RIPPLE
+    named, weighed, _, _ = weigh_numbers(
+        measure_wave(effect, "ratio=40.0", parts, 0.1e-3, 80, 3), effect
+    )
+    assert named["ratio"] == pytest.approx(weighed[0][0]["ratio"], rel=1e-4)
+
+
+def test_the_probability_of_each_order_is_its_share_of_the_posterior():
+    effect, parts = "encoder_harmonic", ("sin", "cos")
+    _, weighed, block, nothing = weigh_numbers(
+        measure_wave(effect, "order=5", parts, 0.1e-3, 60, 0), effect
+    )
+    alone = np.exp(nothing.weigh(block.alone) - nothing.log_p).sum(axis=1)
+    expected = {one["order"]: p / alone.sum() for one, p in zip(block.settings, alone, strict=True)}
+    assert [p for _, p in weighed] == sorted((p for _, p in weighed), reverse=True)
+    for setting, p in weighed:
+        assert p == pytest.approx(expected[setting["order"]], abs=0.01)
+    assert sum(p for _, p in weighed) == pytest.approx(1.0)
+
+
+def test_a_diagnosis_states_the_numbers_that_may_be_those_of_an_effect():
+    effect = "encoder_harmonic"
+    data = measure_wave(effect, "order=5", ("sin", "cos"), 0.12e-3, 60, 5)
+    found = pc.diagnose(new_model("delta54"), data, effects=[effect])
+    [cause] = found.document()["missing"]
+    first, second, *_ = cause["settings"][effect]
+    assert first["values"] == found.best.chosen[0].settings == {"order": 5.0}
+    assert first["probability"] > second["probability"] > 0.05
+    written = f"order 5 {round(100 * first['probability'])} %, or order 4 "
+    assert written in describe_missing(found)
 
 
 def test_the_waves_of_a_known_lead_are_one_set_of_columns():

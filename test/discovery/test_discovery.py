@@ -35,6 +35,7 @@ from parallel_cal.discovery.places import Site, list_places, list_sites
 from parallel_cal.discovery.proof import _find_objection
 from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
 from parallel_cal.discovery.search import (
+    Formulas,
     find_rival,
     find_winner,
     refine_members,
@@ -504,7 +505,7 @@ def test_the_screening_scores_a_hypothesis_as_least_squares_does(scene):
     part = next(iter(Screening(scene, [site], drivers).score(targets)))
     from parallel_cal.discovery.basis import splines
 
-    W = splines(drivers, 8)[0]
+    W = splines(drivers, 8)[0].T
     B = scene.project_off_geometry(
         (site.members[0].columns[:, :, None] * W[:, None]).reshape(len(scene.residual), -1)
     )
@@ -690,7 +691,7 @@ def test_of_equally_good_laws_that_of_a_joints_own_reading_comes_first(scene):
     laws = [one.values**2 for one in own]
     targets = _leave(scene, [(p, 2e-3 * law) for p, law in zip(each.members, laws, strict=True)])
     rivals = [Hypothesis(shared, (beside,)), Hypothesis(each, (own,))]
-    winner = find_winner(targets, [(100.0, one) for one in rivals])
+    winner = find_winner(Formulas(targets), [(100.0, one) for one in rivals])
     assert winner.formula.hypothesis is rivals[1]
     assert [one.hypothesis for one in winner.equal] == [rivals[0]]
 
@@ -706,10 +707,10 @@ def test_members_get_coefficients_of_their_own_if_they_differ(scene, shares, eac
     ]
     targets = _leave(scene, laws)
     common = find_formula(targets, Hypothesis(site, (own,)))
-    found = refine_members(targets, common, screening)
+    found = refine_members(Formulas(targets), common, screening)
     assert common.hypothesis.site.each is False
     assert found.hypothesis.site.each is each
-    assert refine_members(targets, found, screening) is found
+    assert refine_members(Formulas(targets), found, screening) is found
     if each:
         off = found.coefficients[0] - 2e-4 * np.array(shares)
         assert np.all(np.abs(off) < 4 * found.sigma[0])
