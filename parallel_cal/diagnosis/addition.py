@@ -27,7 +27,6 @@ from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
 from parallel_cal.identification.fit_warnings import list_setting_warnings
-from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
@@ -208,18 +207,6 @@ def find_addition(
 def see(found: FitResult) -> Scene:
     """The residuals of a fit, on which candidates are scored."""
     return Scene.of(found.model, found.dataset, found.observations, found.free)
-
-
-def with_noise_of(found: FitResult, noise: Observations) -> FitResult:
-    """Repeat a fit with the noise that another fit of the same samples estimated.
-
-    Only with equal weights can the residuals of two fits be compared. If all noise is stated, the
-    fit is returned as it is.
-    """
-    if not noise.unknown:
-        return found
-    options = replace(found.options, hold_out=0)
-    return fit_unjudged(found.start, found.dataset, options, noise=noise).judge()
 
 
 def with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
