@@ -250,21 +250,27 @@ def weigh_settings(
     most = max(log_p[i] for i in likeliest.values())
     # How high the peak may be of which a setting shows the rest.
     highest = log_p + SCAN_LOSS / (1 - SCAN_LOSS) * np.maximum(log_p - beside.log_p, 0.0)
-    peaks = []
-    for i in likeliest.values():
-        scan = Scan(scene, beside, Choice(block, i, int(np.argmax(weights[i]))))
-        if highest[i] > most - NO_RIVAL and not scan.has_likelier_neighbour(
+    scans = {
+        i: Scan(scene, beside, Choice(block, i, int(np.argmax(weights[i]))))
+        for i in likeliest.values()
+    }
+    best = scans[max(scans, key=log_p.__getitem__)]
+    peaks = [
+        scan.weigh_peak(block.settings[i])
+        for i, scan in scans.items()
+        if highest[i] > most - NO_RIVAL
+        and not scan.has_likelier_neighbour(
             lambda setting: log_p[likeliest[frozenset(setting.items())]]
-        ):
-            peaks.append(scan.weigh_peak(block.settings[i]))
+        )
+    ]
     for _, setting in tuple(peaks):
         for multiple in load_effect(block.name).multiples(setting):
-            if not any(scan.is_peak_at_multiple(setting, other) for _, other in peaks):
-                peaks.append(scan.weigh_peak({**setting, **multiple}))
+            if not any(best.is_peak_at_multiple(setting, other) for _, other in peaks):
+                peaks.append(best.weigh_peak({**setting, **multiple}))
     # Of what fits as well, the multiple is meant.
     doubted = [
         any(
-            other > own - EQUAL_EVIDENCE and scan.is_peak_at_multiple(setting, multiple)
+            other > own - EQUAL_EVIDENCE and best.is_peak_at_multiple(setting, multiple)
             for other, multiple in peaks
         )
         for own, setting in peaks
