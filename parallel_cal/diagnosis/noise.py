@@ -145,14 +145,6 @@ class NoiseLevel:
         )
         return low * self.variance, high * self.variance
 
-    def compute_sigma(self, dof: int) -> float:
-        """Standard deviation of chi2/dof of a complete model, relative to the variance of the
-        noise."""
-        if self.dof is None:
-            return float((2 / dof) ** 0.5)
-        # That of the logarithm of (dof - self.dof) F / dof, to first order.
-        return float(max(2 / self.dof - 2 / dof, 0.0) ** 0.5)
-
     def compute_p_value(self, fall: float, parameters: int) -> float:
         """Probability that by chance additional parameters reduce chi2 by as much."""
         from scipy.special import chdtrc, fdtrc

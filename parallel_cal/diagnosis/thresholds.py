@@ -34,7 +34,6 @@ MAX_REFITTED_CANDIDATES = 5  # [19, 4]
 MAX_MISTRUSTED_SHARE = 0.25  # of the samples: a robust loss excludes at most so many
 # correlation of neighbours in time: noise may imitate such a slow condition
 MIN_SLOW_CORRELATION = 0.5  # [1, 8]
-MIN_EXPLAINED_SHARE = 0.7  # of the variance above the noise floor [0, 59]
 
 # Where a verdict holds
 MIN_POSES_BEYOND_REGION = 15  # of POOL poses in the workspace: fewer are no region of their own

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
@@ -26,7 +25,6 @@ from parallel_cal.diagnosis.thresholds import (
     CREDIBLE,
     MAX_ERROR_TO_NOISE_RATIO,
     MAX_SWAP_ERROR_RATIO,
-    MIN_EXPLAINED_SHARE,
     MIN_FAMILY_MEMBERS,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect
@@ -265,15 +263,19 @@ def _judge(found: Findings) -> Verdict:
             f"{'them' if several else 'it'} if this gain matters to you"
         )
         return Verdict("at_noise", words, share, against, _noise(found))
-    if not against:
-        if share is not None and share >= MIN_EXPLAINED_SHARE:
-            verb = "together account" if several else "accounts"
-            part = f"{verb} for {100 * share:.0f} % of the error above the noise floor"
-        else:  # the excess was mostly chance: its share means nothing
-            part = f"{'together explain' if several else 'explains'} the remaining error"
-        return Verdict("explained", f"{names} {part}. {errors}", share, remarks=_noise(found))
-    words = f"{names} {'explain' if several else 'explains'} part of the error. {errors}"
-    return Verdict("partly_explained", words, share, against, _noise(found))
+    word = "partly_explained" if against else "explained"
+    words = f"{names} {_describe_share(found)}. {errors}"
+    return Verdict(word, words, share, against, _noise(found))
+
+
+def _describe_share(found: Findings) -> str:
+    """Say how much of the error above the noise floor the effects found account for; a share of an
+    excess that chance may have made means nothing."""
+    several, band = len(found.best.chosen) > 1, found.noise.band(found.base.fitted.estimate.dof)
+    if found.share is None or found.chi2_before <= band[1]:
+        return f"{'together explain' if several else 'explains'} the remaining error"
+    verb = "together account" if several else "accounts"
+    return f"{verb} for {100 * max(found.share, 0):.0f} % of the error above the noise floor"
 
 
 def _ask_for_sides(found: Findings, errors: str, share: float | None) -> Verdict:
@@ -299,15 +301,8 @@ def _ask_for_sides(found: Findings, errors: str, share: float | None) -> Verdict
 
 def _list_objections(found: Findings) -> list[str]:
     """List what keeps the found effects from being the whole explanation."""
-    against, chi2, share = [], found.final_estimate.chi2_per_dof, found.share
+    against, chi2 = [], found.final_estimate.chi2_per_dof
     high, structure = found.noise.band(found.final_estimate.dof)[1], found.structure
-    # A small excess is mostly chance: its share means nothing.
-    noise, sigma = found.noise.variance or 0.0, found.noise.compute_sigma(found.final_estimate.dof)
-    beyond_chance = chi2 > noise * (1 + SIGMAS_AT_SIGNIFICANCE_LEVEL * sigma)
-    if share is not None and share < MIN_EXPLAINED_SHARE and beyond_chance:
-        against.append(
-            f"that is only {100 * max(share, 0):.0f} % of the error above the noise floor"
-        )
     if chi2 > high:
         shown = format_distinctly([chi2, high])
         against.append(
