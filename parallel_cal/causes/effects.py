@@ -267,7 +267,7 @@ def weigh_settings(
         for multiple in load_effect(block.name).multiples(setting):
             if not any(best.is_peak_at_multiple(setting, other) for _, other in peaks):
                 peaks.append(best.weigh_peak({**setting, **multiple}))
-    # Of what fits as well, the multiple is meant.
+    # Where a multiple fits as well, take the multiple.
     doubted = [
         any(
             other > own - EQUAL_EVIDENCE and best.is_peak_at_multiple(setting, multiple)
