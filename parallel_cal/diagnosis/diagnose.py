@@ -214,7 +214,7 @@ class Diagnosis(ShownInNotebook):
         if odd and refit:
             yield f"check {samples} {join_words(odd)}, and fit without {them} if wrong: {refit}"
         elif odd:
-            yield f"check {samples} {join_words(odd)}, which what follows excludes"
+            yield f"check {samples} {join_words(odd)}: the commands below exclude {them}"
         if refit and (sideless := [one.title for one in self.knocked if one.sideless]):
             yield f"fit without sample {', '.join(sideless)}: {refit}"
 

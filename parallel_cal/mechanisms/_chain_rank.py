@@ -134,8 +134,8 @@ class Survey:
             x = near[best]
 
     def walk(self, home: np.ndarray, limits: np.ndarray) -> list[np.ndarray]:
-        """Return paths of closed configurations from home over the range of the joints, equal in each
-        call; a path ends where the loops no longer close.
+        """Return paths of closed configurations from home over the range of the joints, equal in
+        each call; a path ends where the loops no longer close.
 
         `limits` (nq, 2) are those of the readings. A joint moves by half a turn, or by as many
         lengths, at most.

@@ -518,7 +518,7 @@ def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
     assert "backlash" in found.verdict.summary
     assert found.verdict.remarks[-1].startswith("Not used: sample 17 (")
     check, command = found.document()["next_steps"]
-    assert check == "check sample 17, which what follows excludes"
+    assert check == "check sample 17: the commands below exclude it"
     assert command.split(" -o ")[0].endswith("add MODEL backlash RECORDING --data exclude=17")
 
 
