@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.base.rotation import compute_left_generators
-
-if TYPE_CHECKING:
-    from parallel_cal.model.structure import Structure
 
 
 class SampleRows:
@@ -26,20 +24,31 @@ class SampleRows:
 
     Parameters
     ----------
-    structure : Structure
+    closure : Batch
+        z -> phi, d phi/dz, of the ideal mechanism.
+    given : sequence of casadi.SX
+        Configuration (q, r, R9, u), conditions a and parameters v.
+    n_joints : int
     seen : casadi.SX (nz,)
         What the closure sees at the measured pose.
     readings : casadi.Function or None
         (configuration, a, v) -> readings, d readings/d(q, r, w, u), d readings/dv.
     """
 
-    def __init__(self, structure: Structure, seen: Any, readings: ca.Function | None = None):
-        s = structure
-        self._phi = s.ideal.closure_seen
+    def __init__(
+        self,
+        closure: Batch,
+        given: Sequence[Any],
+        n_joints: int,
+        seen: Any,
+        readings: ca.Function | None = None,
+    ):
+        configuration, _, v = given
+        self._closure = closure
         self._readings = None if readings is None else Batch(readings)
-        self._rotation = slice(s.q.numel() + 3, s.q.numel() + 12)
-        self._n, self._n_inputs = s.configuration.numel(), s.configuration.numel() + s.v.numel()
-        inputs = ca.vertcat(s.configuration, s.v)
+        self._rotation = slice(n_joints + 3, n_joints + 12)
+        self._n, self._n_inputs = configuration.numel(), configuration.numel() + v.numel()
+        inputs = ca.vertcat(configuration, v)
         # Most of what the closure sees is what was measured, and the geometry as it is.
         moved = [k for k in range(seen.numel()) if not ca.is_equal(seen[k], inputs[k])]
         by = ca.jacobian(seen[moved], inputs)
@@ -47,7 +56,6 @@ class SampleRows:
         self._kept = _list_runs(np.setdiff1d(np.arange(seen.numel()), moved))
         self._moved, self._through = moved, _list_runs(through)
         self._shape = len(through), len(moved)
-        given = s.configuration, s.a, s.v
         self._seen = Batch(dense("seen", given, (seen, by[:, through.tolist()])))
 
     def see(self, x: np.ndarray, a: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -57,7 +65,7 @@ class SampleRows:
     def __call__(self, x: np.ndarray, a: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
         """Each result (N, rows * columns) is stored column by column."""
         z, by_inputs = self._seen(x, a, v)
-        phi, by_seen = self._phi(z)
+        phi, by_seen = self._closure(z)
         N, rows = phi.shape
         by_seen = by_seen.reshape(N, by_seen.shape[1] // rows, rows)
         J = by_seen

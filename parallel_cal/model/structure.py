@@ -221,7 +221,7 @@ class Structure:
     @cached_property
     def closure_batch(self) -> SampleRows:
         """`closure` on arrays of samples."""
-        return SampleRows(self, _column(self.seen))
+        return self._make_rows(_column(self.seen))
 
     def jacobians(
         self, x: np.ndarray, a: np.ndarray, v: np.ndarray
@@ -316,7 +316,11 @@ class Structure:
         if not self.sensors:
             return self.closure_batch
         seen = self._substitute_platform_pose(_column(self.seen))
-        return SampleRows(self, seen, self._readings_function if self.channels else None)
+        return self._make_rows(seen, self._readings_function if self.channels else None)
+
+    def _make_rows(self, seen: Any, readings: ca.Function | None = None) -> SampleRows:
+        given = self.configuration, self.a, self.v
+        return SampleRows(self.ideal.closure_seen, given, self.q.numel(), seen, readings)
 
     @property
     def _readings_function(self) -> ca.Function:
