@@ -61,15 +61,34 @@ def pytest_collection_modifyitems(config, items):
 def pytest_fixture_setup():
     """No node of a fixture that fails is left running: it would load the machine until the end, and
     answer the tests that follow."""
-    helpers = sys.modules.get("ros_helpers")
-    count = len(helpers.STARTED) if helpers else 0
+    started = _list_started_nodes()
+    count = len(started)
     try:
         return (yield)
     except BaseException:
-        if helpers:
-            for node in helpers.STARTED[count:]:
-                node.kill()
+        _end(started[count:])
         raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call():
+    """Nor is one that a test started itself, such as one that is skipped where a browser lacks."""
+    started = _list_started_nodes()
+    count = len(started)
+    try:
+        return (yield)
+    finally:
+        _end(started[count:])
+
+
+def _list_started_nodes():
+    helpers = sys.modules.get("ros_helpers")
+    return helpers.STARTED if helpers else []
+
+
+def _end(nodes):
+    for node in nodes:
+        node.kill()
 
 
 sys.path[:0] = map(str, sorted(Path(__file__).parent.glob("*/")))

@@ -5,7 +5,7 @@ import pytest
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from conftest import pytest_fixture_setup  # noqa: E402 - after the check that rclpy is there
+from conftest import pytest_fixture_setup, pytest_runtest_call  # noqa: E402 - after the check that rclpy is there
 from ros_helpers import NodeProcess  # noqa: E402
 
 
@@ -22,3 +22,12 @@ def test_a_fixture_that_fails_leaves_none_of_its_nodes_running(tmp_path):
         assert before._process.poll() is None
     finally:
         before.kill()
+
+
+def test_a_test_that_is_skipped_leaves_none_of_its_nodes_running(tmp_path):
+    call = pytest_runtest_call()
+    next(call)
+    left = NodeProcess("replay_node", tmp_path, "/left")
+    with pytest.raises(pytest.skip.Exception):
+        call.throw(pytest.skip.Exception("no browser"))
+    assert left.ended(patience=0) != 0
