@@ -14,6 +14,6 @@ for poses in (15, 30, 60):
     print(poses, "poses:", found.verdict.word, *found.effects)
 
 # Prints:
-# 15 poses: explained gear_transmission_error
+# 15 poses: unexplained
 # 30 poses: explained gear_transmission_error
 # 60 poses: explained gear_transmission_error

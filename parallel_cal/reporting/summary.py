@@ -11,6 +11,7 @@ from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
 from parallel_cal.reporting.blocks import Cell, Table
 from parallel_cal.reporting.contents import list_shown_kinds
@@ -207,10 +208,14 @@ def describe_missing(diagnosis: Diagnosis) -> str:
 
 
 def _describe_doubted(settings: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
-    """Name the numbers that may be those of an effect, if not only one may be."""
+    """Name the periods that may be those of a wave, if not only one may be."""
     text = ""
-    for likely in settings.values():
-        rivals = [one for one in likely if one["probability"] > 1 - CREDIBLE]
+    for name, likely in settings.items():
+        rivals = [
+            one
+            for one in likely
+            if one["probability"] > 1 - CREDIBLE and load_effect(name).period(one["values"])
+        ]
         if len(rivals) > 1:
             named = (f"{_write(one)} {format_percent(one['probability'])}" for one in rivals)
             text += f"; {', or '.join(named)}"
