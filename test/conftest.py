@@ -71,14 +71,23 @@ def pytest_fixture_setup():
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_call():
-    """Nor is one that a test started itself, such as one that is skipped where a browser lacks."""
+def pytest_runtest_call(item):
     started = _list_started_nodes()
     count = len(started)
     try:
         return (yield)
     finally:
-        _end(started[count:])
+        item.started_nodes = started[count:]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item):
+    """Nor is one that a test started itself and its fixtures do not end, such as that of a test
+    that is skipped where a browser lacks."""
+    try:
+        return (yield)
+    finally:
+        _end(getattr(item, "started_nodes", []))
 
 
 def _list_started_nodes():
