@@ -232,4 +232,4 @@ def test_noise_that_only_revisits_show_bounds_what_may_be_missing():
     ],
 )
 def test_probabilities_of_rivals_that_exceed_one_are_said_to_overlap(each, words):
-    assert describe_missing(SimpleNamespace(missing=[{"each": each}])) == words
+    assert describe_missing(SimpleNamespace(missing=[{"each": each, "settings": {}}])) == words
