@@ -77,11 +77,11 @@ class Batch:
         self._chunks: dict[tuple[int, int, tuple[int, ...]], _Chunk] = {}
         self._lock = Lock()
         self._evaluated = 0
-        if compile_after is None:
-            self._awaited = []
-        else:
+        # Numbers of samples after which to look for compiled code, and whether to compile it.
+        self._awaited = list[tuple[int, bool]]()
+        if compile_after is not None:
             self._awaited = [(compile_after // EARLIER, False), (compile_after, True)]
-        self._use_machine_code()
+        self._use_machine_code(0)
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate the samples; each argument is (N, size), or (size,) for all samples."""
@@ -90,7 +90,7 @@ class Batch:
         room = -(-n // self.SIZES[-1]) * self.SIZES[-1]
         out = [np.empty((room, self.function.numel_out(i))) for i in range(self.function.n_out())]
         with self._lock:
-            self._use_machine_code()
+            self._use_machine_code(n)
             self._evaluated += n
             cores = min(count_cores(), n // MIN_SAMPLES_PER_CORE)
             if cores < 2:
@@ -110,15 +110,15 @@ class Batch:
                     part.result()
         return [array[:n] for array in out]
 
-    def _use_machine_code(self) -> None:
-        """Load or compile the function if enough samples were evaluated."""
-        while self._awaited and self._evaluated >= self._awaited[0][0]:
+    def _use_machine_code(self, n: int) -> None:
+        """Load or compile the function if enough samples were evaluated, or n more are enough."""
+        while self._awaited and max(self._evaluated, n) >= self._awaited[0][0]:
             _, may_compile = self._awaited.pop(0)
-            plain, many = self.function, _map_function(self.function)
-            # One library contains the function for one sample and for BATCH_SIZE samples.
+            plain = self.function
             code = _load_external(plain, plain, may_compile)
             if code is not plain:
-                self.function, self._many = code, _load_external(plain, many)
+                # One library contains the function for one sample and for BATCH_SIZE samples.
+                self.function, self._many = code, _load_external(plain, _map_function(plain))
                 self._awaited, self._chunks = [], {}
 
     def _evaluate_range(

@@ -104,6 +104,12 @@ def test_a_jacobian_too_large_to_hold_is_computed_anew_with_the_same_result(untu
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12 * np.abs(theirs).max())
 
 
+def test_one_batch_that_pays_for_compiling_is_compiled_before_it_is_evaluated(tmp_path):
+    batch = compiled.Batch(squared(), compile_after=1000)
+    np.testing.assert_array_equal(batch(np.full((1000, 2), 3.0))[0], 9.0)
+    assert batch.function.class_name() == "External"
+
+
 def test_without_a_compiler_very_many_samples_take_the_virtual_machine(tmp_path, monkeypatch):
     monkeypatch.setenv("PARALLEL_CAL_COMPILE", "never")
     batch = compiled.Batch(squared(), compile_after=5)
