@@ -10,13 +10,7 @@ import casadi as ca
 import numpy as np
 
 # The cross products with the three unit vectors, as matrices.
-SKEWS = np.array(
-    [
-        [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
-        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
-        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
-    ]
-)
+SKEWS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)
 
 
 def rot_x(angle: Any) -> Any:

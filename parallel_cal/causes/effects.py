@@ -247,18 +247,18 @@ def weigh_settings(
     log_p = np.logaddexp.reduce(weights, axis=1)
     keys = [frozenset(one.items()) for one in block.settings]
     likeliest = {keys[i]: int(i) for i in np.argsort(log_p) if keys[i]}
-    most = max(log_p[i] for i in likeliest.values())
     # How high the peak may be of which a setting shows the rest.
     highest = log_p + SCAN_LOSS / (1 - SCAN_LOSS) * np.maximum(log_p - beside.log_p, 0.0)
     scans = {
         i: Scan(scene, beside, Choice(block, i, int(np.argmax(weights[i]))))
         for i in likeliest.values()
     }
-    best = scans[max(scans, key=log_p.__getitem__)]
+    top = max(scans, key=log_p.__getitem__)
+    best = scans[top]
     peaks = [
         scan.weigh_peak(block.settings[i])
         for i, scan in scans.items()
-        if highest[i] > most - NO_RIVAL
+        if highest[i] > log_p[top] - NO_RIVAL
         and not scan.has_likelier_neighbour(
             lambda setting: log_p[likeliest[frozenset(setting.items())]]
         )

@@ -31,8 +31,8 @@ def find_prismatic_joints(mechanism: Mechanism) -> list[str]:
 
 
 def find_drives(mechanism: Mechanism) -> dict[str, Drive | None]:
-    """Return the prismatic joints with their stated drives. A line without one winds onto a spool
-    of unknown size, and is left out."""
+    """Return the prismatic joints with their stated drives, except lines without one: they wind
+    onto a spool of unknown size."""
     drives = mechanism.drives or (None,) * len(mechanism.joints)
     stated = dict(zip(mechanism.joints, drives, strict=True))
     joints = find_prismatic_joints(mechanism)

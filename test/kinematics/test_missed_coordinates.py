@@ -63,5 +63,5 @@ def test_nothing_is_said_of_the_conventional_orientation_of_a_delta_that_tilts_a
     assert describe_missed(model.mechanism, found, r, R) == ""
     (tilt,) = Differences.of(found, None, R).orientation
     assert 1e-5 < tilt < 0.1
-    (said,) = Differences.of(found, None, R).describe(model.mechanism)  # where it was asked for
+    (said,) = Differences.of(found, None, R).describe(model.mechanism)
     assert said.startswith("delta54 does not control its orientation: the solution is ")

@@ -81,9 +81,10 @@ def test_a_crank_controls_its_angle_and_not_a_position_with_a_maximum():
 def test_an_arm_with_two_parallel_axes_controls_the_position_of_its_end():
     joints = [
         revolute("shoulder", "base", "upper", driven=True, home=0.3, limits=[-1, 1]),
-        revolute("elbow", "upper", "fore", origin=[0.2, 0, 0], driven=True, home=1.0,
-                 limits=[0.2, 2.5]),
-    ]  # fmt: skip
+        revolute(
+            "elbow", "upper", "fore", origin=[0.2, 0, 0], driven=True, home=1.0, limits=[0.2, 2.5]
+        ),
+    ]
     given = {"base": "base", "platform": "fore", "target": [0.15, 0, 0], "joints": joints}
     assert make_chain(given).mechanism.controls == ("x", "y")
 
@@ -93,14 +94,22 @@ def test_of_a_platform_with_five_freedoms_the_turn_that_follows_is_the_one_left_
     """A gantry carries a wrist that yaws about z and pitches about y: as it hardly yaws, it cannot
     roll about x."""
     joints = [
-        {"name": f"slide_{axis}", "type": "prismatic", "parent": parent, "child": axis,
-         "axis": list(map(float, np.eye(3)[k])), "driven": True, "limits": [-0.2, 0.2]}
+        {
+            "name": f"slide_{axis}",
+            "type": "prismatic",
+            "parent": parent,
+            "child": axis,
+            "axis": list(map(float, np.eye(3)[k])),
+            "driven": True,
+            "limits": [-0.2, 0.2],
+        }
         for k, (parent, axis) in enumerate((("base", "x"), ("x", "y"), ("y", "z")))
-    ]  # fmt: skip
+    ]
     for name, parent, axis in (("yaw", "z", [0, 0, 1]), ("pitch", "fork", [0, 1, 0])):
         child = {"yaw": "fork", "pitch": "tool"}[name]
-        joints.append(revolute(name, parent, child, driven=True, limits=[-0.7, 0.7])
-                      | {"axis": axis})  # fmt: skip
+        joints.append(
+            revolute(name, parent, child, driven=True, limits=[-0.7, 0.7]) | {"axis": axis}
+        )
     given = {"base": "base", "platform": "tool", "target": [0.05, 0, -0.1], "joints": joints}
     assert make_chain(given).mechanism.controls == ("x", "y", "z", "ry", "rz")
 
