@@ -20,7 +20,7 @@ from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
 from parallel_cal.posterior.evidence import UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.scene import Scene, columns
-from parallel_cal.posterior.search import NO_RIVAL, SCAN_LOSS
+from parallel_cal.posterior.search import NO_RIVAL, SCAN_LOSS, WeighedSetting
 from parallel_cal.recordings.dataset import Dataset
 
 MIN_SCANNED = 3  # values of a setting, to refine it between them
@@ -207,9 +207,11 @@ class Scan:
         more = self.at(setting)
         return Choice(more, 0, int(np.argmax(self.beside.weigh(more.alone)[0])))
 
-    def weigh_peak(self, start: Mapping[str, float]) -> tuple[float, Mapping[str, float]]:
+    def weigh_peak(
+        self, start: Mapping[str, float]
+    ) -> tuple[float, Mapping[str, float], Mapping[str, float]]:
         """The log posterior of the peak about a setting, its height times its width, and the
-        setting there."""
+        setting there with its standard deviations."""
         setting = dict(start)
         refined = self.list_refined(self.block.settings[self.best.setting])
         for key, scanned in refined.items():
@@ -217,7 +219,7 @@ class Scan:
         sigma, widest = self.compute_sigma(setting), {k: np.ptp(v) for k, v in refined.items()}
         width = sum(np.log(sigma.get(key, widest[key])) for key in refined)
         height = np.logaddexp.reduce(self.beside.weigh(self.at(setting).alone), axis=None)
-        return float(height + width), setting
+        return float(height + width), setting, sigma
 
     def compute_sigma(self, refined: Mapping[str, float]) -> dict[str, float]:
         """The standard deviation of each number that was refined from the best scanned setting: one
@@ -238,11 +240,9 @@ def find_bracket(scanned: Sequence[float], value: float) -> tuple[float, float]:
     return scanned[max(at - 1, 0)], scanned[min(at + 1, len(scanned) - 1)]
 
 
-def weigh_settings(
-    scene: Scene, beside: Evidence, block: Block
-) -> list[tuple[Mapping[str, float], float]]:
-    """The settings of an effect beside other causes, each with its probability, the likeliest
-    first: of numbers that are refined, one for each peak of the posterior."""
+def weigh_settings(scene: Scene, beside: Evidence, block: Block) -> list[WeighedSetting]:
+    """The settings of an effect beside other causes, the likeliest first: of numbers that are
+    refined, one for each peak of the posterior."""
     weights = beside.weigh(block.alone)
     log_p = np.logaddexp.reduce(weights, axis=1)
     keys = [frozenset(one.items()) for one in block.settings]
@@ -263,21 +263,21 @@ def weigh_settings(
             lambda setting: log_p[likeliest[frozenset(setting.items())]]
         )
     ]
-    for _, setting in tuple(peaks):
+    for _, setting, _ in tuple(peaks):
         for multiple in load_effect(block.name).multiples(setting):
-            if not any(best.is_peak_at_multiple(setting, other) for _, other in peaks):
+            if not any(best.is_peak_at_multiple(setting, other) for _, other, _ in peaks):
                 peaks.append(best.weigh_peak({**setting, **multiple}))
     # Where a multiple fits as well, take the multiple.
     doubted = [
         any(
             other > own - EQUAL_EVIDENCE and best.is_peak_at_multiple(setting, multiple)
-            for other, multiple in peaks
+            for other, multiple, _ in peaks
         )
-        for own, setting in peaks
+        for own, setting, _ in peaks
     ]
-    found = np.array([weight for weight, _ in peaks]) - EQUAL_EVIDENCE * np.array(doubted)
+    found = np.array([weight for weight, *_ in peaks]) - EQUAL_EVIDENCE * np.array(doubted)
     p = np.exp(found - np.logaddexp.reduce(found))
-    return [(peaks[i][1], float(p[i])) for i in np.argsort(-p)]
+    return [WeighedSetting(peaks[i][1], float(p[i]), peaks[i][2]) for i in np.argsort(-p)]
 
 
 def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:

@@ -27,6 +27,7 @@ from parallel_cal.model.effect import Effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.scene import Scene
+from parallel_cal.posterior.search import WeighedSetting
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,13 @@ class Candidate:
         return float(np.exp(self.log_p))
 
 
-def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Candidate:
-    """The score of one effect, the best of its settings where it has any to scan.
+def candidate(
+    scene: Scene,
+    name: str,
+    scored: Iterable[Candidate] = (),
+    known: WeighedSetting | None = None,
+) -> Candidate:
+    """The score of one effect, with a `known` setting, or the best where it has any to scan.
 
     An effect that has special cases among those `scored` is not scored if one of them explains
     nothing, and has no score unless it explains significantly more than each of them: simpler
@@ -125,7 +131,10 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
     if not settings:
         reason = f"cannot be tested: {', '.join(effect.needs)} never changed"
         return Candidate(name, effect, reason=reason)
-    setting, sigma = choose_setting(scene, name, settings) if several else (settings[0], {})
+    if known:
+        setting, sigma = known.values, known.sigma
+    else:
+        setting, sigma = choose_setting(scene, name, settings) if several else (settings[0], {})
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))
     reason = _explain_invisible(highest, len(settings))
     found = Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)

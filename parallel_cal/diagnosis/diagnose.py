@@ -79,6 +79,7 @@ from parallel_cal.identification.registration import (
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
+from parallel_cal.posterior.search import WeighedSetting
 from parallel_cal.recordings.dataset import Dataset
 
 if TYPE_CHECKING:
@@ -551,7 +552,7 @@ def _diagnose_trusted(
 ) -> Diagnosis:
     """Diagnose samples of which none is set aside; `find` returns what `add` makes of effects."""
     base, names, report = search.fit(), setup.names, setup.report
-    ranked = _rank(base, names, report)
+    ranked = _rank(base, names, found.settings, report)
     against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted, **found.absurd}
     report("judging the effects as add does", 0.7)
     confirmed = Confirmed.of(search, found.best, found.robot_or_device, find)
@@ -632,11 +633,14 @@ def _diagnose_trusted(
     )
 
 
-def _rank(base: Trial, names: Sequence[str], report: Progress) -> list[Candidate]:
-    """The effects to test as candidates, best first, untestable ones last."""
+def _rank(
+    base: Trial, names: Sequence[str], found: Mapping[str, WeighedSetting], report: Progress
+) -> list[Candidate]:
+    """The effects to test as candidates, best first, untestable ones last; those found with the
+    settings found."""
     scored = list[Candidate]()
     # Special cases come before the effects that generalize them.
     for k, name in enumerate(sorted(names, key=lambda name: bool(load_effect(name).generalizes))):
         report(f"testing {name}", 0.1 + 0.3 * k / len(names))
-        scored.append(candidate(base.scene, name, scored))
+        scored.append(candidate(base.scene, name, scored, found.get(name)))
     return sorted(scored, key=lambda c: (not c.testable, c.log_p))

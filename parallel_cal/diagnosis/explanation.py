@@ -8,7 +8,7 @@ sum is made again about the geometry found with them, unless the fit leaves what
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,7 +27,7 @@ from parallel_cal.identification.observations import conditions
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW
 from parallel_cal.posterior.scene import Scene
-from parallel_cal.posterior.search import Posterior
+from parallel_cal.posterior.search import Posterior, WeighedSetting
 
 MAX_LINEARISATIONS = 2
 MIN_SHOWN = 0.01  # probability of a setting that is listed
@@ -181,6 +181,16 @@ class Explanation:
             }
         return tuple(sorted(found))
 
+    @property
+    def settings(self) -> dict[str, WeighedSetting]:
+        """The numbers of each effect found of which they were scanned."""
+        each = {one.name: one.settings for one in self.best.chosen if one.name not in self.first}
+        return {
+            name: replace(weighed[0], values=each[name])
+            for name, weighed in self.described.settings.items()
+            if weighed and name in each
+        }
+
     @cached_property
     def probable(self) -> set[str]:
         """Names of the effects that are worth a fit of their own."""
@@ -208,7 +218,7 @@ class Explanation:
             together = 1.0 if name in self.first else self.posterior.of_any(effects)
             cause = {"effects": effects, "probability": together, "each": each}
             settings = {
-                one: [{"values": values, "probability": p} for values, p in weighed]
+                one: [asdict(each) for each in weighed]
                 for one in effects
                 if (weighed := self.described.settings.get(one))
             }
@@ -216,9 +226,7 @@ class Explanation:
         return found
 
 
-def _weigh_settings(
-    causes: Causes, found: Posterior
-) -> dict[str, list[tuple[Mapping[str, float], float]]]:
+def _weigh_settings(causes: Causes, found: Posterior) -> dict[str, list[WeighedSetting]]:
     """The likely settings of each effect that a sum found, with their probabilities."""
     blocks, settings = {block.name: block for block in causes.blocks}, {}
     for one in found.chosen:
@@ -226,7 +234,7 @@ def _weigh_settings(
             rest = [other for other in found.chosen if other is not one]
             beside = causes.sum.evidence(rest, found.nu)
             weighed = weigh_settings(causes.scene, beside, blocks[one.block.name])
-            settings[one.block.name] = [each for each in weighed if each[1] > MIN_SHOWN]
+            settings[one.block.name] = [each for each in weighed if each.probability > MIN_SHOWN]
     return settings
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
+from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER, MIN_VISIBLE_SIGMAS
 from parallel_cal.posterior.scene import Scene
 
 
@@ -42,7 +42,10 @@ def score(scene: Scene, B: np.ndarray) -> Score:
     # Twice: what a first projection of a nearly parallel column leaves is not quite orthogonal.
     left = scene.project_off_geometry(projected)
     squares, directions = np.linalg.eigh(left.T @ left)
-    visible = squares[::-1] > MIN_COLUMN_REMAINDER**2
+    # What is left of a direction must exceed rounding, or matter at the effect's typical size.
+    typical = np.linalg.norm(directions * lengths[:, None], axis=0)
+    seen = np.minimum(MIN_COLUMN_REMAINDER, MIN_VISIBLE_SIGMAS / typical)
+    visible = (squares > seen**2)[::-1]
     U = (left @ directions)[:, ::-1][:, visible] / np.sqrt(squares[::-1][visible])
     remaining = float(np.sqrt(np.mean(np.sum(projected**2, axis=0))))
     size = float(np.sqrt(np.mean(np.sum((projected * lengths) ** 2, axis=0))))

@@ -24,11 +24,21 @@ Refine = Callable[[Evidence, Choice], Choice]
 
 
 @dataclass(frozen=True)
+class WeighedSetting:
+    """The `values` of the numbers of an effect at one peak of the posterior, with the probability
+    that they are those of the robot, and the standard deviations of those that were refined."""
+
+    values: Mapping[str, float]
+    probability: float
+    sigma: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Posterior:
     """The likeliest set of causes, and what else is possible.
 
     `probability` of each cause by name, `sets` the likeliest sets with theirs; `settings` the
-    likely numbers of each effect of which they were scanned, with theirs, if they were weighed.
+    likely numbers of each effect of which they were scanned, if they were weighed.
     """
 
     chosen: tuple[Choice, ...]
@@ -36,7 +46,7 @@ class Posterior:
     sets: tuple[tuple[tuple[str, ...], float], ...]
     probability: Mapping[str, float]
     kinds: Mapping[str, str]
-    settings: Mapping[str, list[tuple[Mapping[str, float], float]]] = field(default_factory=dict)
+    settings: Mapping[str, list[WeighedSetting]] = field(default_factory=dict)
 
     def of_any(self, names: Collection[str]) -> float:
         """Probability that the robot has at least one of these causes."""

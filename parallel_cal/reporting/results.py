@@ -231,7 +231,7 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         yield candidate_table(diagnosis, likely)
     if others:
         yield Detail(candidate_table(diagnosis, others))
-    yield from _describe_settings(diagnosis, [entry.candidate for entry in likely])
+    yield from _describe_settings([entry.candidate for entry in likely])
     reasons = [
         f"{entry.name}: {entry.reason}"
         for entry in diagnosis.entries
@@ -268,24 +268,12 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         yield f"{plan} (--json lists the poses)"
 
 
-def _describe_settings(diagnosis: Diagnosis, tested: Sequence[Candidate]) -> Iterator[str]:
+def _describe_settings(tested: Sequence[Candidate]) -> Iterator[str]:
     """Describe the fixed numbers that fit best, such as the lead of a screw: those of the effects
-    found, with which the diagnosis proposes to add them, and those of the other candidates."""
-    found = {one.name: one.settings for one in diagnosis.best.chosen}
+    found beside each other, and those of each other candidate alone."""
     for one in tested:
-        settings = found.pop(one.name, one.settings)
         for key, sigma in one.sigma.items():
-            value, alone = (f"{numbers[key]:.4g}" for numbers in (settings, one.settings))
-            if value == alone or len(diagnosis.best.chosen) == 1:
-                yield f"{one.name}: {key} {value} +- {sigma:.2g} fits best"
-            else:
-                yield (
-                    f"{one.name}: {key} {value} fits best beside the other effects found "
-                    f"({alone} +- {sigma:.2g} without them)"
-                )
-    for name, settings in found.items():
-        for key, setting in settings.items():
-            yield f"{name}: {key} {setting:.4g} fits best beside the other effects found"
+            yield f"{one.name}: {key} {one.settings[key]:.4g} +- {sigma:.2g} fits best"
 
 
 def describe_discovery(found: Discovery) -> Iterator[Block]:

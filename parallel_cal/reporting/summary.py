@@ -179,11 +179,15 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
         errors = write(best.held_out.summary, best.rms_sigmas(best.held_out))
         yield Line("with it:", f"{errors} with {' and '.join(diagnosis.effects)}", FOUND)
     yield _state_noise(write, best.simulated_noise, best, best.estimate)
-    for cause in diagnosis.missing:
+    likely, imitators = _divide(diagnosis.missing)
+    for cause in likely:
         text = _join_rivals(cause["each"], "{name} {percent}")
         yield Line("missing:", f"{text}{_describe_doubted(cause['settings'])}", ODD)
-    if not diagnosis.missing:
+    if not likely:
         yield Line("missing:", "no effect of the catalogue")
+    for cause in imitators:
+        text = _join_rivals(cause["each"], "{name} {percent}")
+        yield Line("imitates:", f"{text}: the error falls with it, but something else causes it")
     laws = [f"{name} ({format_percent(p)})" for name, p in diagnosis.explanation.laws.items()]
     what = f", described best by an unknown {' and an unknown '.join(laws)}" if laws else ""
     yield Line("left:", f"{diagnosis.left}{what}")
@@ -196,15 +200,23 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
 
 def describe_missing(diagnosis: Diagnosis) -> str:
     """Say what is missing, with its probability, for people: the first answer of a page."""
-    sentences = []
-    for cause in diagnosis.missing:
+    likely, imitators = _divide(diagnosis.missing)
+    sentences = [] if likely else ["No known effect is missing"]
+    for cause in (*likely, *imitators):
         each = {title_of(name): p for name, p in cause["each"].items()}
         text = _join_rivals(each, "{name}: {percent}")
         text += _describe_doubted(cause["settings"])
-        sentences.append(f"{text[0].upper()}{text[1:]}.")
-    if not sentences:
-        return "No known effect is missing."
-    return " ".join(sentences)
+        sentences.append(f"{text[0].upper()}{text[1:]}")
+        if cause in imitators:
+            sentences[-1] += "; the error falls with it, but something else causes it"
+    return "".join(f"{sentence}. " for sentence in sentences).rstrip()
+
+
+def _divide(missing: Sequence[Mapping[str, Any]]) -> tuple[list[Any], list[Any]]:
+    """The causes that the robot may have, and those that imitate one that is not in the
+    catalogue."""
+    likely = [cause for cause in missing if cause["probability"] > 1 - CREDIBLE]
+    return likely, [cause for cause in missing if cause not in likely]
 
 
 def _describe_doubted(settings: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:

@@ -90,8 +90,12 @@ def test_a_wave_is_not_taken_for_the_second_harmonic_of_half_its_ratio(size, see
         measure_wave(effect, "ratio=9.26", parts, size, 80, seed), effect
     )
     assert named["ratio"] == pytest.approx(9.26, abs=0.2)
-    assert weighed[0][0]["ratio"] == pytest.approx(named["ratio"], abs=1e-3)
-    [half] = [p for one, p in weighed if one["ratio"] == pytest.approx(9.26 / 2, abs=0.4)]
+    assert weighed[0].values["ratio"] == pytest.approx(named["ratio"], abs=1e-3)
+    [half] = [
+        one.probability
+        for one in weighed
+        if one.values["ratio"] == pytest.approx(9.26 / 2, abs=0.4)
+    ]
     assert 0 < half < 0.01
 
 
@@ -101,7 +105,7 @@ def test_a_named_number_is_at_its_peak_where_others_are_likely_too():
     named, weighed, _, _ = weigh_numbers(
         measure_wave(effect, "ratio=40.0", parts, 0.1e-3, 80, 3), effect
     )
-    assert named["ratio"] == pytest.approx(weighed[0][0]["ratio"], rel=1e-4)
+    assert named["ratio"] == pytest.approx(weighed[0].values["ratio"], rel=1e-4)
 
 
 def test_the_probability_of_each_order_is_its_share_of_the_posterior():
@@ -111,10 +115,11 @@ def test_the_probability_of_each_order_is_its_share_of_the_posterior():
     )
     alone = np.exp(nothing.weigh(block.alone) - nothing.log_p).sum(axis=1)
     expected = {one["order"]: p / alone.sum() for one, p in zip(block.settings, alone, strict=True)}
-    assert [p for _, p in weighed] == sorted((p for _, p in weighed), reverse=True)
-    for setting, p in weighed:
-        assert p == pytest.approx(expected[setting["order"]], abs=0.01)
-    assert sum(p for _, p in weighed) == pytest.approx(1.0)
+    probabilities = [one.probability for one in weighed]
+    assert probabilities == sorted(probabilities, reverse=True)
+    for one in weighed:
+        assert one.probability == pytest.approx(expected[one.values["order"]], abs=0.01)
+    assert sum(probabilities) == pytest.approx(1.0)
 
 
 def test_a_diagnosis_states_the_numbers_that_may_be_those_of_an_effect():

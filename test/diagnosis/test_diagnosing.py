@@ -274,6 +274,19 @@ def test_an_effect_correlates_fully_with_itself_and_not_with_another_effect(here
     assert canonical_correlation(play, drift) < 0.7
 
 
+@pytest.mark.parametrize(("size", "visible"), [(10.0, 0), (1e4, 1)])
+def test_what_geometry_leaves_of_a_large_effect_is_seen_however_small_its_share(
+    here, size, visible
+):
+    """The sum found an effect by the thousandth that geometry leaves, and the list called it
+    invisible."""
+    geometry, rest = np.random.default_rng(0).normal(size=(2, len(here.residual), 1))
+    rest = here.project_off_geometry(rest)
+    imitated = geometry - here.project_off_geometry(geometry)
+    column = imitated / np.linalg.norm(imitated) + 1e-3 * rest / np.linalg.norm(rest)
+    assert score(here, size * column).q == visible
+
+
 def test_random_columns_score_as_chance_has_it(here):
     rng = np.random.default_rng(0)
     p = [score(here, rng.normal(size=(len(here.residual), 5))).p_value for _ in range(400)]

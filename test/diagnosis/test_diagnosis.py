@@ -249,14 +249,11 @@ def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     assert ratio == pytest.approx(best["settings"]["ratio"], rel=1e-6)
     shown = re.search(r"gear_transmission_error: ratio ([\d.]+) \+- ", show(found))
     assert float(shown[1]) == pytest.approx(ratio, abs=0.1)
-    alone = f"gear_transmission_error: ratio {ratio:.4g} +- "
-    # Beside another effect, another ratio may fit best. The text states the one that is proposed.
-    beside = Chosen("gear_transmission_error", (("ratio", 41.5),))
-    both = replace(found, best=replace(found.best, chosen=(Chosen("backlash"), beside)))
-    text = show(both)
-    assert f"ratio 41.5 fits best beside the other effects found ({ratio:.4g} +- " in text
-    assert both.additions == ("backlash", "gear_transmission_error:ratio=41.5")
-    assert alone not in text
+    [cause] = found.missing
+    assert found.additions == (f"gear_transmission_error:ratio={best['settings']['ratio']!r}",)
+    likeliest = cause["settings"]["gear_transmission_error"][0]
+    assert likeliest["values"]["ratio"] == pytest.approx(ratio, rel=1e-3)
+    assert best["settings_sigma"] == likeliest["sigma"]
 
 
 @pytest.mark.wide

@@ -232,4 +232,13 @@ def test_noise_that_only_revisits_show_bounds_what_may_be_missing():
     ],
 )
 def test_probabilities_of_rivals_that_exceed_one_are_said_to_overlap(each, words):
-    assert describe_missing(SimpleNamespace(missing=[{"each": each, "settings": {}}])) == words
+    cause = {"each": each, "settings": {}, "probability": max(each.values())}
+    assert describe_missing(SimpleNamespace(missing=[cause])) == words
+
+
+def test_an_effect_that_imitates_another_cause_is_not_said_to_be_missing():
+    cause = {"each": {"backlash": 0.004}, "settings": {}, "probability": 0.004}
+    assert describe_missing(SimpleNamespace(missing=[cause])) == (
+        "No known effect is missing. Backlash: < 1 %; the error falls with it, but something else "
+        "causes it."
+    )
