@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.base.confidence import EQUAL_EVIDENCE, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.effects import (
+    MIN_SCANNED,
     choose_setting,
     compute_effect_columns,
     find_missing_conditions,
@@ -122,8 +123,8 @@ def candidate(
     settings = scan_settings(scene, effect)
     several = len(settings) > 1
     special = [c for c in scored if c.name in effect.generalizes and c.score is not None]
-    if several:  # one turn of a stated pulley says nothing about the other periods
-        special = [c for c in special if c.tried > 1 or not c.settings]
+    if several:  # one turn of a stated pulley or motor says nothing about the other periods
+        special = [c for c in special if c.tried >= MIN_SCANNED or not c.settings]
     for one in special:
         if one.log_p > np.log(SIGNIFICANCE_LEVEL):
             reason = f"not tested: {one.name}, a special case of it, explains nothing"

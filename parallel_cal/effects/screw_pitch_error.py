@@ -28,11 +28,12 @@ TURNING = {"screw": "screw", "spool": "drum", "belt": "pulley"}  # what turns in
 class ScrewPitchError(Effect):
     """q_ideal = q + sin * sin(2 pi q / lead) + cos * cos(2 pi q / lead) + bend * q^2 (m).
 
-    For every prismatic joint: a screw that wobbles, or a drum or belt pulley that is eccentric.
-    `lead` (m) is the travel per turn, one for all: the model file states it with the drive, or it
-    is known from the data sheet, or found by `scan`. If stated drives have different leads, each
-    has its own. Only screws bend. A line has the effect only if the model file states its drive. A
-    pitch or radius that is wrong by a constant factor is `encoder_gain`.
+    For every prismatic joint: a screw that wobbles, a drum or belt pulley that is eccentric, or
+    what turns with the motor of a stated gear. `lead` (m) is the travel per turn, one for all: the
+    model file states it with the drive, or it is known from the data sheet, or found by `scan`. If
+    stated drives have different leads, each has its own. Only screws bend. A line has the effect
+    only if the model file states its drive. A pitch or radius that is wrong by a constant factor is
+    `encoder_gain`.
     """
 
     fixed = ("*lead",)
@@ -90,16 +91,19 @@ class ScrewPitchError(Effect):
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
         """Return the `scan_periods` of the longest travel that was recorded, or the leads that the
-        model file states."""
+        model file states, and behind gears the travels per turn of the motors."""
         if stated := _state_leads(mechanism):
             yield stated
+            motors = _state_leads(mechanism, of_motors=True)
+            if motors != stated:
+                yield motors
             return
         travel = max(np.ptp(recorded[joint]) for joint in _find_turning_joints(mechanism))
         for lead in scan_periods(travel, *LEADS):
             yield {"lead": lead}
 
     def period(self, setting: Mapping[str, float]) -> float:
-        """Return the lead: one turn of the screw, drum or pulley; the shortest of several."""
+        """Return the lead: one turn of the screw, drum, pulley or motor; the least of several."""
         return min(setting.values())
 
 
@@ -111,10 +115,12 @@ def _find_turning_joints(mechanism: Mechanism) -> dict[str, Drive | None]:
     return {joint: drive for joint, drive in drives.items() if drive or not differ}
 
 
-def _state_leads(mechanism: Mechanism) -> dict[str, float]:
-    """Return the stated leads by the name of their parameter; empty if none is stated."""
-    each = {joint: drive.lead for joint, drive in _find_turning_joints(mechanism).items() if drive}
-    if len({*each.values()}) == 1:
+def _state_leads(mechanism: Mechanism, of_motors: bool = False) -> dict[str, float]:
+    """Return the stated leads, or the travels per turn of the motors, by the name of their
+    parameter; empty if none is stated. The shortest motor stands for others with one lead."""
+    stated = {joint: one for joint, one in _find_turning_joints(mechanism).items() if one}
+    each = {joint: one.lead / (one.gear if of_motors else 1.0) for joint, one in stated.items()}
+    if len({one.lead for one in stated.values()}) == 1:
         return {"lead": min(each.values())}
     return {f"{joint}.lead": lead for joint, lead in each.items()}
 
@@ -123,6 +129,8 @@ def _list_sizes(drive: Drive | None) -> Iterator[tuple[str, str, float, float, s
     """Yield name, unit, tolerance, upper bound and label of the numbers of one joint."""
     is_round = drive is not None and drive.kind != "screw"
     turning = TURNING[drive.kind] if drive is not None else "screw or pulley"
+    if drive is not None and drive.gear != 1:
+        turning += " or motor"
     radius = drive.lead / (2 * np.pi) if drive is not None else 0.0
     size, most = (share * radius for share in ROUND) if is_round else SCREW
     for part, label in WAVE.items():

@@ -715,7 +715,9 @@ def test_a_drum_of_40_mm_whose_axis_is_2_mm_off_is_wrong_once_per_251_mm_of_line
     m = load_mechanism("stewart42")
     m.drives = tuple(drives)
     effect = load_effect("screw_pitch_error")
-    [leads] = effect.scan(m, {})
+    leads, motors = effect.scan(m, {})
+    changed = {name: lead for name, lead in motors.items() if lead != leads[name]}
+    assert changed == {"leg5.lead": pytest.approx(8e-3)}
     quarters = np.array([*leads.values()]) / 4
     np.testing.assert_allclose(quarters[:3], np.pi * 0.02)
     np.testing.assert_allclose(quarters[3:], [np.pi * 0.01, 8e-3, 1.25e-3])

@@ -109,11 +109,14 @@ def test_without_a_stated_spool_the_message_says_how_to_state_it():
         new_model("delta24").with_effect("spool_buildup")
 
 
-def test_the_lead_of_a_stated_screw_is_the_only_one_that_is_tried():
-    screw = hexapod(Drive("screw", per_rev=1.25e-3, gear=4.0)).mechanism
+def test_a_stated_lead_and_the_travel_per_turn_of_a_geared_motor_are_all_that_is_tried():
     scan = load_effect("screw_pitch_error").scan
-    recorded = {joint: np.array([0.0, 0.1]) for joint in screw.joints}
-    assert list(scan(screw, recorded)) == [{"lead": pytest.approx(5e-3)}]
+    recorded = {joint: np.array([0.0, 0.1]) for joint in Stewart42().joints}
+    plain = hexapod(Drive("screw", per_rev=5e-3)).mechanism
+    assert list(scan(plain, recorded)) == [{"lead": pytest.approx(5e-3)}]
+    geared = hexapod(Drive("screw", per_rev=1.25e-3, gear=4.0)).mechanism
+    each = [one["lead"] for one in scan(geared, recorded)]
+    assert each == pytest.approx([5e-3, 1.25e-3])
     assert len(list(scan(Stewart42(), recorded))) > 10
 
 
@@ -144,6 +147,21 @@ def test_an_eccentric_drum_is_named_by_the_turn_of_the_stated_radius():
     assert [one.name for one in chosen] == ["screw_pitch_error"]
     assert posterior.probability["screw_pitch_error"] > 0.99
     assert chosen[0].settings == {"lead": pytest.approx(2 * np.pi * radius)}
+
+
+def test_what_turns_with_the_motor_of_a_gear_is_named_by_its_turn():
+    """It was named a wrong interpolation of the encoder: only the pulley's turn was tried."""
+    model = hexapod(Drive("belt", per_rev=10e-3, gear=3.0))
+    model = replace(model, noise=Noise(joint=5e-6, position=5e-6, orientation=5e-5))
+    wave = ",".join(f"leg{k}.sin=30e-6" for k in range(1, 7))
+    true = [f"screw_pitch_error:lead=10e-3,{wave}"]
+    data = pc.simulate(model, 60, 1, effects=true).dataset()
+    scene = see(fit(model, data, hold_out=0))
+    names = ["screw_pitch_error", "encoder_interpolation", "encoder_gain"]
+    posterior, _, chosen = Causes.of(scene, names).explain()
+    assert [one.name for one in chosen] == ["screw_pitch_error"]
+    assert posterior.probability["screw_pitch_error"] > 0.99
+    assert chosen[0].settings == {"lead": pytest.approx(10e-3)}
 
 
 def test_a_stated_pulley_that_runs_true_does_not_hide_other_periods():
