@@ -178,8 +178,7 @@ class Scan:
         """Whether one of the next scanned values of a number is likelier than the best setting."""
         setting = self.block.settings[self.best.setting]
         for key, scanned in self.list_refined(setting).items():
-            at = scanned.index(setting[key])
-            near = [scanned[k] for k in (at - 1, at + 1) if 0 <= k < len(scanned)]
+            near = find_bracket(scanned, setting[key])
             if any(log_p({**setting, key: value}) > log_p(setting) for value in near):
                 return True
         return False

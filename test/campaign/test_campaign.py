@@ -345,7 +345,7 @@ def test_the_last_pose_of_all_is_under_the_load_where_both_would_take_two(tmp_pa
     assert [dict(target.conditions) for target in one.judgements[0].targets] == [{"payload": 2.0}]
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_an_effect_that_was_named_first_gives_way_to_one_that_fits_clearly_better(tmp_path):
     """Eighteen numbers of the screws' pitch explain most of six legs' cross-talk; beside a frame
     that gives, nothing that is added makes up for the rest. The model does not state what drives

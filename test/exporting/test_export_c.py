@@ -46,8 +46,8 @@ WITH_EFFECTS = ("delta54", "stewart42", "argos27")
 ROBOTS = [
     "delta54",
     "cable",
-    *(pytest.param(name, marks=pytest.mark.wide) for name in ("stewart42", "argos27", "chain")),
-    pytest.param("linear_delta", marks=pytest.mark.wide),
+    *(pytest.param(name, marks=pytest.mark.wide) for name in ("stewart42", "chain")),
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("argos27", "linear_delta")),
 ]
 
 

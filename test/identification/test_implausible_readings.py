@@ -393,7 +393,7 @@ def test_sound_samples_are_fitted_wherever_the_device_stands(elsewhere):
 
 
 @pytest.mark.parametrize("what", SPOILT)
-@pytest.mark.parametrize("elsewhere", [pytest.param(False, marks=pytest.mark.wide), True])
+@pytest.mark.parametrize("elsewhere", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_what_was_meant_is_named_if_it_fits_the_poses(what, elsewhere):
     spoil, words = SPOILT[what]
     with pytest.raises(FitError, match=re.escape(words)) as refused:

@@ -528,9 +528,14 @@ def test_the_curve_of_a_campaign_begins_at_the_initial_model_and_names_what_was_
     )
 
 
-@pytest.mark.wide
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(
+    ("size", "theme"),
+    [
+        *(pytest.param(size, "light", marks=pytest.mark.wide) for size in SIZES),
+        pytest.param("1280", "dark", marks=pytest.mark.wide),
+        *(pytest.param(one, "dark", marks=pytest.mark.slow) for one in SIZES if one != "1280"),
+    ],
+)
 def test_the_page_has_no_fault_of_access(page, theme, size):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     width, height = SIZES[size]
