@@ -8,6 +8,8 @@ documentation, "Configuration reference", "Delta calibration", "Rotation distanc
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -125,9 +127,9 @@ def samples(
 
 def _count(stated: Settings, name: str, what: str, warnings: list[str]) -> int:
     """Return how many of `height0`, `height1`, ... Klipper reads; it stops where one is missing."""
-    found = [k for k in range(999) if f"{TOUCHES} {name}{k}" in stated]
-    read = next((k for k, number in enumerate(found) if k != number), len(found))
-    if more := len(found) - read:
+    read = next(k for k in itertools.count() if f"{TOUCHES} {name}{k}" not in stated)
+    numbered = re.compile(re.escape(f"{TOUCHES} {name}") + r"\d+")
+    if more := sum(map(bool, map(numbered.fullmatch, stated.texts))) - read:
         warnings.append(
             f"{name}{read} is missing: like Klipper, this import stops there, and omits "
             f"{more} {what}{'s' if more > 1 else ''} behind it"
