@@ -145,15 +145,6 @@ class NoiseLevel:
         )
         return low * self.variance, high * self.variance
 
-    def compute_p_value(self, fall: float, parameters: int) -> float:
-        """Probability that by chance additional parameters reduce chi2 by as much."""
-        from scipy.special import chdtrc, fdtrc
-
-        fall = max(fall, 0.0) / (self.variance or 1.0)
-        if self.dof is None:
-            return float(chdtrc(parameters, fall))
-        return float(fdtrc(parameters, self.dof, fall / parameters))
-
 
 def advise_on_noise(result: FitResult, revisits: int) -> str:
     """Say how an owner finds out what noise was not stated; `revisits` are too few to show it."""

@@ -11,7 +11,7 @@ CREDIBLE = 0.95
 MIN_INFLATION = 1.5  # [1, 0: warmth]
 # p-value below which replicates replace the stated noise
 REPLICATE_CONTRADICTION_LEVEL = 1e-4  # [1, 0: delta_thermal]
-# p-value below which "this is noise" is wrong: residuals depend on a condition, or an effect counts
+# p-value below which residuals are no noise, since they depend on a condition
 CERTAINTY_LEVEL = 1e-6  # [0, 0]
 OUTLIER_SIGNIFICANCE_LEVEL = 1e-3  # p-value of an outlier, over the whole data set [2, 0]
 # Cook's distance: without the sample, estimates move by about their sigma

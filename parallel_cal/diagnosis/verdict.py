@@ -21,7 +21,6 @@ from parallel_cal.diagnosis.region import (
 from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.diagnosis.search import Trial, ratio_of
 from parallel_cal.diagnosis.thresholds import (
-    CERTAINTY_LEVEL,
     CREDIBLE,
     MAX_ERROR_TO_NOISE_RATIO,
     MAX_SWAP_ERROR_RATIO,
@@ -157,16 +156,18 @@ class Findings:
 
     @property
     def was_inside_band(self) -> bool:
-        """Whether the base needed no effect: its chi2/dof was inside the band, and the better
-        fit is either not significant or lowers the validation error only a little."""
-        before, after = self.base.fitted.estimate, self.final_estimate
-        inside = self.chi2_before <= self.noise.band(before.dof)[1] and not self.noise.is_exceeded
-        fall = self.chi2_before * before.dof - after.chi2_per_dof * after.dof
-        taken = max(before.dof - after.dof, 1)
-        certain = self.noise.compute_p_value(fall, taken) < CERTAINTY_LEVEL
+        """Whether the base needed no effect: its chi2/dof was inside the band, and the effects
+        found are either not sure or lower the validation error only a little."""
+        high = self.noise.band(self.base.fitted.estimate.dof)[1]
+        inside = self.chi2_before <= high and not self.noise.is_exceeded
         ratio = ratio_of(self.base, self.best)
         counts = ratio is None or ratio * MAX_SWAP_ERROR_RATIO < 1
-        return bool(inside and not (certain and counts))
+        return bool(inside and not (self.is_sure and counts))
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the robot has one of the effects found, or one that may be in its place."""
+        return max(self.probability.values(), default=0.0) > CREDIBLE
 
 
 def leaves_more_than_noise(
@@ -230,10 +231,9 @@ def _judge(found: Findings) -> Verdict:
         verb = "help" if len(found.best.chosen) > 1 else "helps"
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
         rest = ", but the residuals still have structure" if found.structure.has_structure else ""
-        known = max(found.probability.values(), default=0.0) > CREDIBLE
         touched = is_of_touches(found.best.fitted.dataset)
         return Verdict(
-            "partly_explained" if known else "cannot_know",
+            "partly_explained" if found.is_sure else "cannot_know",
             f"{helps}{rest}. {errors}",
             share,
             remarks=(NO_NOISE.format(again="touch points" if touched else "visit poses"),),

@@ -87,12 +87,6 @@ def test_replicates_alone_cannot_show_an_error_of_the_model():
     assert replicates(10).band(10) == (0, np.inf)
 
 
-def test_few_replicates_make_no_gain_certain():
-    few, stated = replicates(10), NoiseLevel(1.0, None, "stated", PureError(None, 0))
-    assert stated.compute_p_value(60.0, 3) == pytest.approx(stats.chi2(3).sf(60), rel=1e-6)
-    assert few.compute_p_value(60.0, 3) == pytest.approx(stats.f(3, 10).sf(20), rel=1e-6)
-
-
 @pytest.mark.wide
 def test_visits_that_differ_by_more_than_the_stated_noise_may_be_noise_or_motion():
     found = found_in(noisy(vb.twice, 0))

@@ -397,8 +397,8 @@ MUTANTS = (
     ),
     Mutant(
         "importing/importers/klipper.py",
-        "read = next((k for k, number in enumerate(found) if k != number), len(found))",
-        "read = len(found)",
+        'read = next(k for k in itertools.count() if f"{TOUCHES} {name}{k}" not in stated)',
+        'read = sum(f"{TOUCHES} {name}{k}" in stated for k in range(99))',
         "touches behind a gap are read under the wrong numbers",
         "test_import_klipper.py",
     ),
