@@ -103,7 +103,7 @@ def test_a_knocked_sample_with_which_no_plausible_effect_fits_is_excluded_by_add
     assert held_out(step.result) == pytest.approx(held_out(alone.result), rel=1e-6)
 
 
-@pytest.mark.parametrize("sample", [5, pytest.param(30, marks=pytest.mark.wide)])
+@pytest.mark.parametrize("sample", [pytest.param(5, marks=pytest.mark.wide), 30])
 def test_a_sample_that_hides_a_part_of_the_error_is_excluded_by_diagnose_as_by_add(sample):
     """Nobody recorded the temperature, so that the backlash explains a part only."""
     model = read_model(FINE)

@@ -88,26 +88,40 @@ CASES = [
     pytest.param(
         coupled(5, 4, 1),
         "joint5 and joint6 are coupled: joint6 = J6 - J5, where",
+        marks=pytest.mark.slow,
+    ),
+    pytest.param(
+        differential,
+        "joint5 = (J5 + J6) / 2, joint6 = (J5 - J6) / 2, where",
         marks=pytest.mark.wide,
     ),
-    (differential, "joint5 = (J5 + J6) / 2, joint6 = (J5 - J6) / 2, where"),
-    (written("vector", "xyz"), "a rotation vector, not angles (column map: rotation_vector in"),
     pytest.param(
-        written("vector", "ZYX"),
+        written("vector", "xyz"),
         "a rotation vector, not angles (column map: rotation_vector in",
         marks=pytest.mark.wide,
     ),
     pytest.param(
+        written("vector", "ZYX"),
+        "a rotation vector, not angles (column map: rotation_vector in",
+        marks=pytest.mark.slow,
+    ),
+    pytest.param(
         written("xyz", "vector"),
         "angles xyz, not a rotation vector (column map: angles: {col",
-        marks=pytest.mark.wide,
+        marks=pytest.mark.slow,
     ),
     (written("ZYZ", "xyz"), "the angles are ZYZ, not xyz (column map: axes: ZYZ in place of xyz"),
-    pytest.param(written("ZYZ", "ZYX"), "or ZYZ in place of ZYX)", marks=pytest.mark.wide),
-    pytest.param(written("xyz", "ZYZ"), "or xyz in place of ZYZ)", marks=pytest.mark.wide),
-    pytest.param(written("ZXZ", "xyz"), "axes: ZXZ in place of xyz", marks=pytest.mark.wide),
-    (inverse, "the poses are inverse, those of {B} seen by {P}"),
-    (mirrored, "the positions, but not the orientations, are left-handed: y has the other sign"),
+    pytest.param(written("ZYZ", "ZYX"), "or ZYZ in place of ZYX)", marks=pytest.mark.slow),
+    pytest.param(written("xyz", "ZYZ"), "or xyz in place of ZYZ)", marks=pytest.mark.slow),
+    pytest.param(written("ZXZ", "xyz"), "axes: ZXZ in place of xyz", marks=pytest.mark.slow),
+    pytest.param(
+        inverse, "the poses are inverse, those of {B} seen by {P}", marks=pytest.mark.wide
+    ),
+    pytest.param(
+        mirrored,
+        "the positions, but not the orientations, are left-handed: y has the other sign",
+        marks=pytest.mark.wide,
+    ),
 ]
 
 

@@ -491,9 +491,9 @@ def test_an_impossible_camera_is_refused_with_option_value_and_expectation(optio
     ("wrong", "named"),
     [
         ({"columns": 6, "rows": 8}, "columns: 8, rows: 6"),
-        ({"mounted": "platform"}, "mounted: fixed"),
-        ({"square": 0.06}, "square: about 0.03"),
-        ({"square": 0.0003}, "square: about 0.03"),
+        pytest.param({"mounted": "platform"}, "mounted: fixed", marks=pytest.mark.wide),
+        pytest.param({"square": 0.06}, "square: about 0.03", marks=pytest.mark.wide),
+        pytest.param({"square": 0.0003}, "square: about 0.03", marks=pytest.mark.slow),
     ],
 )
 def test_options_that_people_mix_up_are_named_before_the_fit(wrong, named):
