@@ -184,12 +184,14 @@ class Explanation:
     @property
     def settings(self) -> dict[str, WeighedSetting]:
         """The numbers of each effect found of which they were scanned."""
-        each = {one.name: one.settings for one in self.best.chosen if one.name not in self.first}
-        return {
-            name: replace(weighed[0], values=each[name])
-            for name, weighed in self.described.settings.items()
-            if weighed and name in each
-        }
+        found = dict[str, WeighedSetting]()
+        for one in self.best.chosen:
+            peaks = self.described.settings.get(one.name)
+            if peaks and one.name not in self.first:
+                own = np.array([[peak.values[key] for key, _ in one.fixed] for peak in peaks])
+                away = np.abs(own - [value for _, value in one.fixed]).sum(axis=1)
+                found[one.name] = replace(peaks[int(away.argmin())], values=one.settings)
+        return found
 
     @cached_property
     def probable(self) -> set[str]:
