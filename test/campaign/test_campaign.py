@@ -293,7 +293,7 @@ def test_everything_is_a_session_that_the_workbench_opens(calibrated):
     assert steps[-2:] == ["fit", "add backlash"]
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_person_is_asked_for_the_load_that_the_robot_cannot_put_on_itself(tmp_path):
     cell = SimulatedCell("delta", 5, ["shaft_twist"])
     goal = Goal(60, payload=1.0)
@@ -359,7 +359,7 @@ def test_an_effect_that_was_named_first_gives_way_to_one_that_fits_clearly_bette
     assert outcome.samples <= 56
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_frame_that_gives_and_warm_parts_are_both_found_with_no_more_load_than_was_allowed(
     tmp_path,
 ):

@@ -137,7 +137,10 @@ def test_every_step_answers_a_small_session_or_refuses_it_in_a_sentence(robot, s
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize(
+    "robot",
+    [pytest.param(one, marks=pytest.mark.slow if one == "hexapod" else ()) for one in ROBOTS],
+)
 @pytest.mark.parametrize(
     "seed",
     [pytest.param(k, marks=pytest.mark.slow if k else pytest.mark.wide) for k in range(4)],

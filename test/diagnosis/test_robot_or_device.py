@@ -136,8 +136,8 @@ def test_an_effect_that_the_device_may_cause_is_added_only_with_force(refracted)
     assert "the measuring device may cause" in step.model.history[-1]["forced"]
 
 
-@pytest.mark.wide
-@pytest.mark.parametrize("seed", [3, pytest.param(18, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 18])
 def test_a_dent_in_the_devices_field_teaches_the_robot_nothing(seed):
     """A spot of 20 mm, a third of a millimetre deep: waves of joint angles follow it."""
     dented = dent(seed)

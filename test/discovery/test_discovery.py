@@ -87,7 +87,6 @@ CASES = [(name, kind) for name, sizes in SIZES.items() for kind in sizes]
 TYPICAL = [
     ("delta", laws.dent),  # a joint, by a spot of its own reading
     ("delta", laws.sag),  # the platform
-    ("delta", laws.rod_play),  # the rods
     ("delta", laws.new_zero),  # by time
     ("hexapod", laws.spring),  # a leg, by its load
     ("arm", laws.coupling),  # a chain
@@ -174,7 +173,7 @@ def test_the_share_of_a_law_is_judged_with_the_same_noise_without_and_with_it(sp
         pytest.param("joint_compliance", 1.0, 5004, marks=pytest.mark.slow),
         pytest.param("encoder_second_harmonic", 1.0, 5006, marks=pytest.mark.slow),
         # The places of a common driver are found from another place than that of the best law.
-        ("thermal_expansion", 2.0, 5009),
+        pytest.param("thermal_expansion", 2.0, 5009, marks=pytest.mark.slow),
     ],
 )
 def test_an_effect_is_found_again_without_itself_and_its_lookalikes_in_the_catalogue(
@@ -258,7 +257,9 @@ def test_noise_alone_has_no_law(seed):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("kind", [vb.correlated, vb.growing, vb.twice])
+@pytest.mark.parametrize(
+    "kind", [pytest.param(vb.correlated, marks=pytest.mark.slow), vb.growing, vb.twice]
+)
 def test_noise_that_is_not_as_stated_has_no_law(kind):
     noise, seed = vr.THESIS_NOISE, 1
     quiet = vf.samples(vf.session(seed), [], findings.quiet(0.0), 0)
@@ -289,7 +290,7 @@ def test_an_error_of_the_device_is_not_learned_by_the_robot(device):
     assert all(law.against for law in found.suspected)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_search_finds_the_same_to_the_last_bit_on_one_core_and_where_parts_are_sent_elsewhere(
     spring, monkeypatch
 ):

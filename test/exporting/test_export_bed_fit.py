@@ -224,7 +224,7 @@ def test_a_point_that_the_new_numbers_do_not_reach_does_not_count(tmp_path, monk
     assert 0 < done.movement.largest < np.inf
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_numbers_that_are_right_hardly_move_x_and_y(tmp_path):
     """40 um of noise in the touches must not become a move of x and y."""
     files = [tmp_path / "config.g"]

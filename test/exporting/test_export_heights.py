@@ -128,8 +128,8 @@ def test_a_camera_takes_the_place_of_a_configurations_probe(tmp_path, capsys):
         pytest.param(
             *case,
             id=f"{case[0].__name__}-{case[1]}-{1e6 * case[2]:.0f}",
-            # A firmware with little noise and one with much; the others go by the same lines.
-            marks=[] if case in ((rrf, 0, 20e-6), (klipper, 1, 60e-6)) else pytest.mark.slow,
+            # One with much noise; the others go by the same lines.
+            marks=[] if case == (klipper, 1, 60e-6) else pytest.mark.slow,
         )
         for case in itertools.product((rrf, klipper), range(2), (20e-6, 40e-6, 60e-6))
     ],
@@ -362,7 +362,7 @@ def test_the_export_finds_the_touches_that_the_model_was_fitted_on(tmp_path, mon
         assert "(map.csv, config.g) were not found; give their samples: --touches" in err
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_touch_that_the_fit_excluded_is_not_used_for_the_export(tmp_path, monkeypatch, capsys):
     """Touch 3 hit a blob of 0.3 mm. The export must not fit the numbers to it again."""
     rrf(tmp_path, 1, 10e-6)

@@ -244,7 +244,7 @@ def tables(folder):
     return (folder / "rows.parquet").read_bytes()
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_rows_are_equal_to_the_last_bit_on_this_machine_and_on_a_cluster(tmp_path):
     fleet = fleets.written(tmp_path / "fleet", vf.drawn(3), 2, n_poses=24, n_replicates=4)
     here = judge(fleet, tmp_path / "here", QUICK, workers=2)

@@ -416,7 +416,7 @@ def test_a_convention_that_tolerances_would_excuse_is_named_where_no_geometry_fi
         fitted(stewart(), about_rotated_axes(legs()))
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_two_mistakes_at_once_are_refused_and_the_command_tries_no_effect():
     data = seen(va.session(va.arm("ur5", 4), 60, 5, va.Tracker()))
     wrong = replace(data, q=data.q[:, [0, 2, 1, 3, 4, 5]] * [1, 1, 1, -1, 1, 1])

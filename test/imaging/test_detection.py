@@ -40,8 +40,8 @@ def errors_of(detector, camera, n, **options):
     [
         ({}, False, 0.03, 0.2),
         ({}, True, 0.04, 0.25),
-        ({"imager": Imager(noise=3.0)}, True, 0.06, 0.4),
-        ({"blur": 2.0}, True, 0.08, 0.4),
+        pytest.param({"imager": Imager(noise=3.0)}, True, 0.06, 0.4, marks=pytest.mark.slow),
+        pytest.param({"blur": 2.0}, True, 0.08, 0.4, marks=pytest.mark.slow),
         ({"focal": (600.0, 600.0), "distortion": (-0.28, 0.07)}, True, 0.06, 0.4),
         ({"focal": (560.0, 560.0), "fisheye": True, "distortion": (0.05, -0.01)}, True, 0.06, 0.4),
     ],

@@ -127,7 +127,10 @@ HIDDEN = [  # robot, effect in the twin, payload up to (kg), its name in the cat
     ("stewart_rss", Backlash((0.0028,) * 6), 0.0, "backlash"),
     ("hexaglide", Backlash((0.19 * MM,) * 6), 0.0, "backlash"),
     ("hexaglide", ShaftTwist((8e-6, 0.0, 2e-6, 0.0, 8e-6, 0.0)), 10.0, "joint_compliance"),
-    ("palletizer", ShaftTwist((0.0, 5e-5, 5e-5, 0.0)), 10.0, "joint_compliance"),
+    pytest.param(
+        *("palletizer", ShaftTwist((0.0, 5e-5, 5e-5, 0.0)), 10.0, "joint_compliance"),
+        marks=pytest.mark.slow,
+    ),
 ]
 
 

@@ -97,9 +97,16 @@ HIDDEN = {
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("kind", ["ur5", "wam"])
+@pytest.mark.parametrize(
+    ("kind", "pose"),
+    [
+        pytest.param("ur5", True, id="ur5-pose"),
+        pytest.param("wam", False, id="wam-position"),
+        pytest.param("ur5", False, id="ur5-position", marks=pytest.mark.slow),
+        pytest.param("wam", True, id="wam-pose", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("effect", list(HIDDEN))
-@pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
 def test_the_diagnosis_names_an_effect_hidden_in_a_joint_of_an_arm(kind, effect, pose):
     robot = va.arm(kind, 4, hidden=(HIDDEN[effect],))
     data = seen(va.session(robot, 120, 5, HERE), pose)

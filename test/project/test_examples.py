@@ -10,11 +10,18 @@ import pytest
 from test_docs import like
 
 ROOT = Path(__file__).parents[2]
+LONG = ("photograph_a_virtual_robot",)
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 pytestmark = pytest.mark.wide
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "example",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in LONG else ())
+        for path in EXAMPLES
+    ],
+)
 def test_an_example_prints_what_it_quotes(example, tmp_path):
     for name in ("bags", "config", "examples", "real"):
         (tmp_path / name).symlink_to(ROOT / name)

@@ -166,7 +166,10 @@ COUNTS |= {"slider_crank": 3, "five_bar": 10}
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("name", COUNTS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(one, marks=pytest.mark.slow if one == "argos27" else ()) for one in COUNTS],
+)
 def test_a_complete_model_has_as_many_independent_parameters_as_the_thesis_counts(name):
     build, parameters = ROBOTS[name]
     parameters = strayed(parameters, 1, 2e-3)
