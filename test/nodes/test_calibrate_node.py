@@ -100,7 +100,7 @@ def desk(tmp_path):
     one.close()
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_an_update_ends_as_soon_as_it_is_decided_that_nothing_has_changed(tmp_path):
     file = tmp_path / "robot.yaml"
     file.write_text(calibrated(2))
