@@ -324,8 +324,8 @@ class Kinematics:
         begin: np.ndarray | None = None,
         any_branch: bool = False,
     ) -> Solutions:
-        """Assign a status to each sample; the robust solver repeats what did not converge, and a
-        path from home what converged on another branch."""
+        """Assign a status to each sample; a path from home repeats what did not converge or did so
+        on another branch, and the robust solver what it does not reach."""
         n = self._n
         x, step, residual, pivot = self._wrap_and_refine(problem, NewtonResult(*reached), rows)
         status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
@@ -335,17 +335,21 @@ class Kinematics:
         settled = (step < MAX_SETTLED_STEP_M) & (residual < problem.largest)
         open_ = finite & ~settled
         status[open_] = Status.NOT_CONVERGED
+        followed = np.zeros(len(x), dtype=bool)
         for i in np.flatnonzero(open_) if not self._quick else ():
-            x[i], residual[i], status[i] = self._solve_carefully(problem, x[i], rows[i], given[i])
+            found = None if begin is not None else self._follow(problem, rows[i], given[i])
+            followed[i] = found is not None
+            found = found or self._solve_carefully(problem, x[i], rows[i], given[i])
+            x[i], residual[i], status[i] = found
         suspect = finite & ~(settled & (pivot > SUSPECT_PIVOT))
         for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
             if problem.smallest_singular_value(x[i], rows[i]) < MIN_REGULAR_SINGULAR_VALUE:
                 status[i] = Status.SINGULAR
-            elif begin is None:
+            elif begin is None and not followed[i]:
                 x[i], residual[i], status[i] = self._stay_on_home_branch(
                     problem, x[i], rows[i], given[i], bool(settled[i])
                 )
-            elif not any_branch and is_jump(problem, begin[i], x[i], rows[i]):
+            elif begin is not None and not any_branch and is_jump(problem, begin[i], x[i], rows[i]):
                 status[i] = Status.OTHER_BRANCH
         inside = ((x[:, :n] >= problem.low) & (x[:, :n] <= problem.high)).all(axis=1)
         status[~inside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
@@ -364,24 +368,35 @@ class Kinematics:
             return turned, residual, status
         return problem.solve_carefully(turned, row, given)
 
+    def _follow(
+        self, problem: Problem, row: np.ndarray, given: np.ndarray
+    ) -> tuple[np.ndarray, float, Status] | None:
+        """Follow the solution while the readings (or the pose) move from home to those given; None
+        if the branch ends on this path."""
+        x = follow_from_home(problem, problem, given, row)
+        if x is None:
+            return None
+        x[: self._n] = _wrap_towards_home(x[: self._n], problem.unknown_joints, self.model)
+        return x, problem.residual(x, row), Status.CONVERGED
+
     def _stay_on_home_branch(
         self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray, settled: bool
     ) -> tuple[np.ndarray, float, Status]:
         """Return the solution on the branch of home, if x is not known to be on it.
 
-        It is if Newton's method settled on the side of the singularities on which it began.
+        It is if Newton's method settled on the side of the singularities on which this branch is.
         Otherwise the readings (or the pose) move from home to those given; if the branch ends on
-        this path, x is joined with home by a path of the other coordinates.
+        this path, as it did where Newton's method did not settle, x is joined with home by a path
+        of the other coordinates.
         """
         side = problem.is_on_home_side(x, row)
-        keeps_side = problem.is_on_home_side(problem.start(given), row) == side
+        keeps_side = problem.begins_on_home_side(given, row) == side
         if (settled and keeps_side) or not problem.calls.home_sign:
             return x, problem.residual(x, row), Status.CONVERGED
-        followed = None if self._quick else follow_from_home(problem, problem, given, row)
-        if followed is not None:
-            x = followed
-            x[: self._n] = _wrap_towards_home(x[: self._n], problem.unknown_joints, self.model)
-            return x, problem.residual(x, row), Status.CONVERGED
+        if settled and not self._quick:
+            followed = self._follow(problem, row, given)
+            if followed is not None:
+                return followed
         if side and not self._quick:
             other = self.direct_problem if problem.unknown_joints else self.inverse_problem
             end = follow_from_home(other, problem, x, row)

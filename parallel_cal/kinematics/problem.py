@@ -16,7 +16,7 @@ from parallel_cal.kinematics.solutions import (
     Status,
 )
 from parallel_cal.kinematics.split_turns import splits_turns
-from parallel_cal.kinematics.start import start_function
+from parallel_cal.kinematics.start import begins_at_home, start_function
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
@@ -95,6 +95,14 @@ class Problem:
         ideal = self.model.structure.ideal
         begin = start_function(ideal, self.name)(given, self.model.values[: len(ideal.table)])
         return np.array(begin).ravel()
+
+    def begins_on_home_side(self, given: np.ndarray, row: np.ndarray) -> bool:
+        """Whether the branch of home is on home's side of the singularities where `solve_many`
+        begins. It is where that is home, or its expansion, which may pass a singularity; a closed
+        form has this branch on either side."""
+        if begins_at_home(self.model.structure.ideal, self.name):
+            return True
+        return self.is_on_home_side(self.start(given), row)
 
     def settle(self, begin: np.ndarray, row: np.ndarray) -> np.ndarray | None:
         """Iterate from one configuration; None if the iterations do not settle on home's side of

@@ -36,19 +36,20 @@ def start_function(s: Structure, problem: str) -> ca.Function:
     m, q, r, R9, u = s.mechanism, s.q, s.r, s.R9, ca.DM(s.mechanism.home.passive)
     if problem == "direct":
         r, R9 = s.start_pose(s.q, s.geometry.column)
-        found = ca.vertcat(r, R9)
     else:
-        q = found = s.start_joints(s.r, s.R9, s.geometry.column)
+        q = s.start_joints(s.r, s.R9, s.geometry.column)
     start = ca.vertcat(q, r, R9, u)
-    if not ca.symvar(ca.SX(found)):
+    if begins_at_home(s, problem):
         n = len(m.joints)
         given = [*range(n)] if problem == "direct" else [n + i for i in m.controlled]
         columns = unknown_columns(s, problem)
         if (series := _expand_at_home(s, given, columns)) is not None:
-            d = _change_from_home(s, problem)
+            d, turn = _change_from_home(s, problem)
             change = ca.SX.zeros(len(s.scale))
             for column, slope, curvature in zip(columns, *series, strict=True):
                 change[column] = ca.dot(ca.DM(slope), d) + ca.bilin(ca.DM(curvature), d, d) / 2
+            for i in {*columns} & {n + 3, n + 4, n + 5}:
+                change[i] -= turn[i - n - 3]  # the given rotation is turned so far already
             R9 = start[n + 3 : n + 12]  # turned by a rotation vector in `change`
             if {n + 3, n + 4, n + 5} & {*columns}:
                 R9 = ca.vec((cayley(change[n + 3 : n + 6]) @ ca.reshape(R9, 3, 3).T).T)
@@ -58,8 +59,9 @@ def start_function(s: Structure, problem: str) -> ca.Function:
     return ca.Function(f"{problem}_start", [s.configuration, s.v], [start])
 
 
-def _change_from_home(s: Structure, problem: str) -> Any:
-    """Compute how far the given coordinates are from home, within half a turn (m, rad)."""
+def _change_from_home(s: Structure, problem: str) -> tuple[Any, Any]:
+    """Compute how far the given coordinates are from home, within half a turn (m, rad), and the
+    turn from home of the rotation at which iterations begin (rad)."""
     m = s.mechanism
     home = Configuration.from_rows(m.home.configuration, len(m.passive))
     if problem == "direct":
@@ -69,10 +71,20 @@ def _change_from_home(s: Structure, problem: str) -> Any:
             one - turn * ca.floor(one / turn + 0.5) if turn else one
             for one, turn in zip(d, turns, strict=True)
         ]
-        return ca.vertcat(*nearest)
+        return ca.vertcat(*nearest), ca.DM.zeros(3)
     E = s.R @ ca.DM(home.R).T
     turn = ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]) / 2
-    return ca.vertcat(s.r - ca.DM(home.r), turn)[m.controlled]
+    return ca.vertcat(s.r - ca.DM(home.r), turn)[m.controlled], turn
+
+
+@lru_cache(maxsize=64)
+def begins_at_home(s: Structure, problem: str) -> bool:
+    """Return whether the candidates of an ideal mechanism are home whatever is given."""
+    if problem == "direct":
+        found = ca.vertcat(*s.start_pose(s.q, s.geometry.column))
+    else:
+        found = s.start_joints(s.r, s.R9, s.geometry.column)
+    return not ca.symvar(ca.SX(found))
 
 
 def _expand_at_home(

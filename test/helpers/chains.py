@@ -64,6 +64,46 @@ def five_bar(base: float = 0.1, crank: float = 0.1, bar: float = 0.15) -> dict[s
     }
 
 
+def knee() -> dict[str, Any]:
+    """A knee that a linear actuator between thigh and shank bends: a triangle."""
+    ends = ("thigh", [-0.06, 0, 0.23]), ("shank", [-0.06, 0, 0.03])
+    return {
+        "base": "thigh",
+        "platform": "shank",
+        "target": [0, 0, -0.36],
+        "joints": [revolute("knee", "thigh", "shank", home=1.0) | {"axis": [0, 1, 0]}],
+        "loops": [rod("drive", *ends, driven=True, limits=[-0.06, 0.06])],
+    }
+
+
+def bird_leg() -> dict[str, Any]:
+    """A leg of five motors with two loops: a rod from thigh to tarsus that lets the tarsus follow
+    the knee, and a rod from a crank on the tarsus to the foot."""
+    across = {"axis": [0, -1, 0]}
+    angles = {"roll": (-0.26, 0.39, 0), "yaw": (-0.38, 0.38, 0), "pitch": (-0.87, 1.4, 0.5)}
+    angles |= {"knee": (-2.86, -0.65, -1.2), "crank": (-2.44, -0.52, -1.5)}
+    driven = {
+        name: {"driven": True, "limits": [low, high], "home": home}
+        for name, (low, high, home) in angles.items()
+    }
+    joints = [
+        revolute("roll", "pelvis", "hip", **driven["roll"]) | {"axis": [1, 0, 0]},
+        revolute("yaw", "hip", "fork", origin=[-0.07, 0, -0.05], **driven["yaw"]),
+        revolute("pitch", "fork", "thigh", origin=[0, 0, -0.09], **driven["pitch"]) | across,
+        revolute("knee", "thigh", "shin", origin=[0, 0.01, -0.12], **driven["knee"]) | across,
+        revolute("heel", "shin", "tarsus", origin=[0.045, 0, -0.43], home=1.4) | across,
+        revolute("crank", "tarsus", "lever", origin=[-0.034, 0.01, -0.058], **driven["crank"])
+        | across,
+        revolute("toe", "tarsus", "foot", origin=[-0.04, 0, -0.408], home=-1.6) | across,
+    ]
+    loops = [
+        rod("long_rod", ("thigh", [0.045, 0, 0]), ("tarsus", [0.02, 0.008, 0.108]), length=0.5),
+        rod("foot_rod", ("lever", [0, 0, -0.055]), ("foot", [0, 0.01, -0.055])),
+    ]
+    made = {"base": "pelvis", "platform": "foot", "target": [0.05, 0.02, -0.1]}
+    return {**made, "joints": joints, "loops": loops}
+
+
 def five_bar_with_pin(**sizes: float) -> dict[str, Any]:
     """The five-bar whose platform is the pin between both rods."""
     given = five_bar(**sizes)

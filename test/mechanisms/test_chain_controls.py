@@ -114,6 +114,56 @@ def test_of_a_platform_with_five_freedoms_the_turn_that_follows_is_the_one_left_
     assert make_chain(given).mechanism.controls == ("x", "y", "z", "ry", "rz")
 
 
+# ------------------------------------------------------------------ far from home
+
+
+def test_a_knee_bends_as_the_triangle_of_its_actuator_says():
+    """Far from home, the expansion is beyond the pose at which knee and actuator are in line."""
+    model = make_chain(chains.knee())
+    upper, lower = np.array([-0.06, 0.23]), np.array([-0.06, 0.03])  # x, z from the knee
+    between = np.arctan2(*upper) - np.arctan2(*lower)  # of both arms, about y, at a straight knee
+    a, b = np.hypot(*upper), np.hypot(*lower)
+
+    def length(bend):
+        return np.sqrt(a**2 + b**2 - 2 * a * b * np.cos(between - bend))
+
+    bends = np.linspace(0.9, 2.1, 60)  # home is 1, and knee and actuator are in line at 0.85
+    readings = (length(bends) - length(1.0))[:, None]
+    found = pc.Kinematics(model).direct(readings)
+    assert found.solved.all()
+    expected = 0.36 * np.column_stack([-np.sin(bends), 0 * bends, -np.cos(bends)])
+    np.testing.assert_allclose(found.position, expected, atol=1e-9)
+
+
+def test_a_leg_finds_its_readings_over_the_whole_range_of_its_knee():
+    """One in seven poses had a knee that bends the other way, which is outside its limits."""
+    model = make_chain(chains.bird_leg())
+    low, high = np.array(model.mechanism.joint_limits).T
+    readings = np.random.default_rng(0).uniform(low, high, (100, 5))
+    solver = pc.Kinematics(model)
+    poses = solver.direct(readings)
+    poses = poses[poses.ok]
+    assert len(poses) > 80
+    found = solver.inverse(poses.position, poses.rotation)
+    assert found.ok.mean() > 0.97  # some feet cannot come straight from home
+    np.testing.assert_allclose(found.joints[found.ok], poses.joints[found.ok], atol=1e-8)
+
+
+def test_inverse_kinematics_begins_at_second_order_also_where_a_turn_is_not_controlled():
+    """The given orientation contains this turn already: a quarter of it remained to be undone."""
+    model = make_chain(chains.bird_leg())
+    assert model.mechanism.controls == ("x", "y", "z", "ry", "rz")
+    solver, home = pc.Kinematics(model), np.array(model.mechanism.home.joints)
+    step, left = np.array([0.03, -0.07, 0.05, -0.08, 0.06]), []
+    for share in (1.0, 0.5):
+        truth = solver.direct(home + share * step).configuration.rows
+        begin = solver.inverse_problem.start(truth)
+        off = model.configuration(begin).change_from(model.configuration(truth))
+        left.append(np.linalg.norm(off))
+    assert 0 < left[0] < 1e-2
+    assert left[1] == pytest.approx(left[0] / 8, rel=0.3)
+
+
 # ------------------------------------------------------------------ the model file
 
 

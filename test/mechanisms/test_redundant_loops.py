@@ -63,8 +63,9 @@ def wrist(digits=DIGITS):
     return make_chain({"base": "base", **target, "joints": joints, "loops": loops})
 
 
-def close_with_scipy(model, q):
-    """Return the position of {P} where the squares of both gaps are least, and the gaps."""
+def close_with_scipy(model, q, start=(0.0, 0.0, 0.0, 0.0)):
+    """Return the position of {P} where the squares of both gaps are least, the gaps, and the angles
+    of the passive hinges; these are sought from a start."""
     p = {
         name: dict.fromkeys("x y z rx ry rz a_x a_y a_z b_x b_y b_z zero".split(), 0.0)
         for name in [*model.joints, "elbow0", "elbow1", "elbow2", "hinge", "ball1", "ball2"]
@@ -95,8 +96,8 @@ def close_with_scipy(model, q):
         target = platform[0] + platform[1].apply([p["target"][c] for c in "xyz"])
         return np.concatenate(found), target
 
-    end = least_squares(lambda u: gaps(u)[0], np.zeros(4), xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    return gaps(end.x)[1], np.linalg.norm(end.fun)
+    end = least_squares(lambda u: gaps(u)[0], start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return gaps(end.x)[1], np.linalg.norm(end.fun), end.x
 
 
 READINGS = np.random.default_rng(3).uniform(-0.25, 0.25, (5, 3))
@@ -113,10 +114,25 @@ def test_redundant_loops_are_closed_where_the_squares_of_their_gaps_are_least(sh
     model = strayed(wrist(), share)
     found = pc.Kinematics(model).direct(READINGS)
     assert found.ok.all()
-    expected, gaps = zip(*(close_with_scipy(model, q) for q in READINGS), strict=True)
+    expected, gaps, _ = zip(*(close_with_scipy(model, q) for q in READINGS), strict=True)
     assert found.position == pytest.approx(np.array(expected), abs=1e-9)
     # Of six digits, the loops stay open by less than a micrometre; of tilted axes, by far more.
     assert (min(gaps) > 1e-5) if share else (1e-9 < max(gaps) < 1e-6)
+
+
+FAR = [[0.67, 1.44, 0.27], [1.36, 0.92, 0.7], [-0.12, 1.97, 0.65]]
+
+
+@pytest.mark.parametrize("q", FAR)
+def test_readings_far_from_home_have_the_pose_that_small_steps_lead_to(q):
+    """It was out of reach: from where the expansion ends, the squares have other extrema."""
+    model, u = wrist(), np.zeros(4)
+    for share in np.linspace(0, 1, 41):
+        expected, gaps, u = close_with_scipy(model, share * np.array(q), u)
+        assert gaps < 1e-6
+    found = pc.Kinematics(model).direct(q)
+    assert found.ok
+    assert found.position == pytest.approx(expected, abs=1e-8)
 
 
 def test_a_chain_says_how_far_its_redundant_loops_stay_open():

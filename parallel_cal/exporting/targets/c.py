@@ -30,6 +30,7 @@ from parallel_cal.kinematics.solutions import (
     SUSPECT_PIVOT,
 )
 from parallel_cal.kinematics.split_turns import splits_turns
+from parallel_cal.kinematics.start import begins_at_home
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.mechanism import Mechanism, poses_in_workspace
@@ -179,6 +180,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
             f"turns_{problem}": int({n + 3, n + 4, n + 5} <= {*u}),
             f"constants_{problem}": functions.iteration.n_constants,
             f"home_sign_{problem}": int(functions.home_sign),
+            f"at_home_{problem}": int(begins_at_home(model.structure.ideal, problem)),
         }
     return {key: str(value) for key, value in words.items()}
 

@@ -56,6 +56,7 @@ static const int GIVEN[2][MOST] = {{@given_direct@}, {@given_inverse@}};
 static const int GIVENS[2] = {@g_direct@, @g_inverse@};
 static const int TURNS[2] = {@turns_direct@, @turns_inverse@}; /* all of the rotation is unknown */
 static const int HOME_SIGN[2] = {@home_sign_direct@, @home_sign_inverse@}; /* 0: selects no side */
+static const int AT_HOME[2] = {@at_home_direct@, @at_home_inverse@}; /* iterations begin there, or at its expansion */
 static const double LENGTH = @length@;         /* m */
 static const int TABLE[2] = {@constants_direct@, @constants_inverse@};
 
@@ -440,24 +441,33 @@ static int carefully(int problem, const double *given, const double *a, int *ste
     return status[best];
 }
 
+/* The solution x for what is given, if a path from home leads to it. */
+static int followed_from_home(int problem, const double *given, const double *a, int *steps,
+    double *x, double *residual)
+{
+    double end[NX], phi[ROWS], J[ROWS * MOST];
+    memcpy(end, given, sizeof end);
+    if (!followed(problem, problem, a, steps, end)) return 0;
+    memcpy(x, end, sizeof end);
+    turned_towards_home(problem, x);
+    closure_and_slopes(problem, x, a, phi, J);
+    *residual = residual_of(x, a, phi);
+    return 1;
+}
+
 /* The status of a solution x that is not known to be on the branch of home: it is if Newton's method
- * settled on the side on which it began. Otherwise a path from home leads to the solution, or a path
- * of the other coordinates joins x with home. */
+ * settled on the side on which this branch is where it began. Otherwise a path from home leads to the
+ * solution, or a path of the other coordinates joins x with home. */
 static int on_home_branch(int problem, const double *given, const double *begin, const double *a,
     int settled, int *steps, double *x, double *residual)
 {
-    double end[NX], phi[ROWS], J[ROWS * MOST];
+    double end[NX];
     int side = on_home_side(problem, x, a);
-    if (HOME_SIGN[problem] == 0 || (settled && on_home_side(problem, begin, a) == side))
+    if (HOME_SIGN[problem] == 0
+        || (settled && side == (AT_HOME[problem] || on_home_side(problem, begin, a))))
         return @ROBOT@_CONVERGED;
-    memcpy(end, given, sizeof end);
-    if (followed(problem, problem, a, steps, end)) {
-        memcpy(x, end, sizeof end);
-        turned_towards_home(problem, x);
-        closure_and_slopes(problem, x, a, phi, J);
-        *residual = residual_of(x, a, phi);
+    if (settled && followed_from_home(problem, given, a, steps, x, residual))
         return @ROBOT@_CONVERGED;
-    }
     memcpy(end, x, sizeof end);
     if (side && followed(!problem, problem, a, steps, end) && short_step(end, x))
         return @ROBOT@_CONVERGED;
@@ -469,7 +479,7 @@ static int solve_once(int problem, const double *given, const double *a, int war
     double *x, double *residual)
 {
     double before[CONSTANTS + NX], begin[NX], phi[ROWS], J[ROWS * MOST], pivot = 0;
-    int status = @ROBOT@_CONVERGED, inside = 1;
+    int status = @ROBOT@_CONVERGED, inside = 1, reached = 0;
     if (!all_finite(NX, given) || !all_finite(CONDITIONS, a)) {
         for (int i = 0; i < NX; ++i) x[i] = NAN;
         *residual = NAN;
@@ -484,7 +494,8 @@ static int solve_once(int problem, const double *given, const double *a, int war
     *residual = norm_of_closure(problem, x, before);
     int closed = redundant(problem) ? isfinite(*residual) : *residual < CLOSED;
     int settled = length < SETTLED && closed;
-    if (!settled) {
+    if (!settled && !warm) reached = followed_from_home(problem, given, a, steps, x, residual);
+    if (!settled && !reached) {
         status = carefully(problem, given, a, steps, x, residual);
         if (turned_towards_home(problem, x) && EFFECTS != 0)
             status = carefully(problem, given, a, steps, x, residual);
@@ -493,9 +504,9 @@ static int solve_once(int problem, const double *given, const double *a, int war
         closure_and_slopes(problem, x, a, phi, J);
         if (smallest_singular_value(UNKNOWNS[problem], J) < SMALL)
             status = @ROBOT@_SINGULAR;
-        else if (!warm)
+        else if (!warm && !reached)
             status = on_home_branch(problem, given, begin, a, settled, steps, x, residual);
-        else if (on_home_side(problem, begin, a) != on_home_side(problem, x, a)
+        else if (warm && on_home_side(problem, begin, a) != on_home_side(problem, x, a)
             && !short_step(begin, x))
             status = @ROBOT@_OTHER_BRANCH;
     }
