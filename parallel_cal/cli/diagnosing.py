@@ -9,7 +9,7 @@ from parallel_cal.cli.arguments import (
     Bags,
     Data,
     Details,
-    Fitting,
+    FittingOrUpdating,
     Json,
     ModelFile,
     Tested,
@@ -31,7 +31,7 @@ def diagnose(
     *,
     effect: Tested = None,
     also: Also = None,
-    options: Fitting,
+    options: FittingOrUpdating,
     data: Data = None,
     details: Details = False,
     as_json: Json = False,
@@ -61,6 +61,7 @@ def diagnose(
     console.show(describe(found), list_options(details))
     # The proposed commands exclude samples themselves.
     reading = [f"--data={item}" for item in data or [] if not item.startswith("exclude=")]
+    reading += ["--update"] if options.update else []
     names = {
         "parallel-cal": write_program(found.model),
         "MODEL": shlex.quote(str(model)),

@@ -62,7 +62,13 @@ from parallel_cal.diagnosis.verdict import (
     leaves_more_than_noise,
 )
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.fit import FitResult, UnjudgedFit, fit, fit_unjudged
+from parallel_cal.identification.fit import (
+    FitResult,
+    Prepared,
+    UnjudgedFit,
+    fit,
+    fit_unjudged,
+)
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
@@ -71,11 +77,7 @@ from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
 )
-from parallel_cal.identification.registration import (
-    Registration,
-    add_registration_warning,
-    prepared_for_fit,
-)
+from parallel_cal.identification.registration import Registration
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
@@ -407,21 +409,17 @@ class _Setup:
         options: FitOptions,
         report: Progress,
     ) -> _Setup:
-        """Place the device, and list the effects to test."""
-        given = GivenModel.of(asked, recorded, options.joint_sigma, options.insist)
-        dataset = given.dataset
-        model, registration = prepared_for_fit(given.start, given.registration, dataset, options)
-        dataset = add_registration_warning(dataset, registration)
-        names = list_effects_to_test(model, also, effects)
+        """Prepare the samples as a fit does, and list the effects to test."""
+        ready = Prepared.of(asked, recorded, options)
         return cls(
             asked,
             recorded,
-            given,
-            model,
-            dataset,
-            registration,
-            names,
-            options,
+            ready.given,
+            ready.start,
+            ready.dataset,
+            ready.registration,
+            list_effects_to_test(ready.start, also, effects),
+            ready.options,
             report,
         )
 

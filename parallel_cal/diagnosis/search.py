@@ -90,7 +90,7 @@ class Trial:
         """The scene of the refit, made once for all trials that share it."""
         if not self.scenes:
             r = self.fitted
-            scene = Scene.of(r.model, r.dataset, r.observations, r.free, self.shared)
+            scene = Scene.of(r.model, r.dataset, r.observations, r.free, self.shared, r.prior)
             self.scenes.append(scene)
         return self.scenes[0]
 

@@ -461,7 +461,7 @@ def _make_report(folder: Path, as_pdf: bool, tell: Callable[..., None]) -> Done:
         session.model,
         session.dataset,
         certificate=fields,
-        options=session.options,
+        options=session.options_for(session.dataset),
         progress=tell,
     )
     file = report_path(session, as_pdf)

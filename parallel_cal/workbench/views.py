@@ -87,7 +87,7 @@ def fit_some_samples(session: Session) -> Iterator[View]:
     with all pictures; none if there are few. The fit of all samples takes minutes."""
     if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
         return
-    how = session.options
+    how = session.options_for(some)
     step = fitted(session.model, some, True, options=how)
     result, part = step.result, _describe_part(len(some), session)
     known = (step.errors_to_beat, result.held_out.summary, result.noise_floor)
@@ -102,7 +102,7 @@ def view_some_samples(session: Session) -> View | None:
     """Make the view of the present state from a part of many samples; None if there are few."""
     if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
         return None
-    how = session.options
+    how = session.options_for(some)
     if session.state.errors:
         made = _make_report_view(report(session.model, some, options=how, hold_out=how.hold_out))
     else:
@@ -172,8 +172,9 @@ def view(session: Session, progress: Progress) -> View:
         return _make_comparison_view(
             compare(session.model, session.dataset, session.options.joint_sigma)
         )
-    how, part = session.options, session.dataset_of_some(MAX_DIAGNOSED_SAMPLES)
+    part = session.dataset_of_some(MAX_DIAGNOSED_SAMPLES)
     data = session.dataset if part is None else part
+    how = session.options_for(data)
     found = report(session.model, data, progress=progress, options=how, hold_out=how.hold_out)
     verdict, made = found.diagnosis.verdict, _make_report_view(found)
     remark = "" if part is None else f" (diagnosis of {_describe_part(len(part), session)})"
