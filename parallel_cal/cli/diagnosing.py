@@ -61,7 +61,8 @@ def diagnose(
     console.show(describe(found), list_options(details))
     # The proposed commands exclude samples themselves.
     reading = [f"--data={item}" for item in data or [] if not item.startswith("exclude=")]
-    reading += ["--update"] if options.update else []
+    updates = ["--update"] if options.update else []
+    reading += updates
     names = {
         "parallel-cal": write_program(found.model),
         "MODEL": shlex.quote(str(model)),
@@ -80,6 +81,7 @@ def diagnose(
     elif is_last and (command := export_command(found.model, model)):
         lines.append(Line(label, command, COMMAND))
     elif not found.next_steps:
-        command = command_line(["report", model], found.model, bags, data, "-o", "report.html")
+        words = *updates, "-o", "report.html"
+        command = command_line(["report", model], found.model, bags, data, *words)
         lines.append(Line("next:", command, COMMAND))
     console.show([summary_table(lines)])

@@ -39,8 +39,11 @@ def updated(tmp_path):
 @pytest.mark.wide
 def test_page_and_command_line_diagnose_an_update_with_the_numbers_of_its_fit(updated, tmp_path):
     words = ["diagnose", str(tmp_path / "robot.yaml"), str(tmp_path / "today.json")]
-    words += ["--update", "--json"]
-    done = CliRunner().invoke(application(words), words)
+    words += ["--update"]
+    said = CliRunner().invoke(application(words), words).stdout
+    assert "parallel-cal report" in said
+    assert said.count("--update") == said.count("parallel-cal ")
+    done = CliRunner().invoke(application(words), [*words, "--json"])
     line, page = json.loads(done.stdout), view(updated, ignore_progress)
     fitted = updated.state.errors["position_rms"]
     assert line["baseline"]["position_rms"] == pytest.approx(fitted, rel=1e-5)
