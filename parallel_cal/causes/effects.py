@@ -58,7 +58,7 @@ def list_effect_blocks(
         settings = [known[name]] if known.get(name) else settings
         each = _yield_columns(scene, plain, settings)
         larger = [*effect.other_kinds(mechanism).values()]
-        # About a fitted geometry that is plausible, no number of a drive is grossly wrong.
+        # Geometry that is fitted freely and plausible excludes a number that is grossly wrong.
         if effect.mistaken > 1 and scene.sizes is not None:
             larger.append(effect.mistaken)
         stated = plain.with_settings(name, settings[0])  # what is stated is no coefficient
@@ -102,7 +102,7 @@ def widen_scene(scene: Scene, wide: Model) -> tuple[Scene, np.ndarray]:
     new = find_new_parameters(scene.model, wide)
     observations = replace(scene.observations, a=conditions(wide, scene.dataset))
     free = ~np.asarray(wide.fixed) & ~new
-    wider = Scene.of(wide, scene.dataset, observations, free, scene.shared)
+    wider = Scene.of(wide, scene.dataset, observations, free, scene.shared, scene.within)
     return wider, columns(wide, wider, new)
 
 

@@ -131,7 +131,8 @@ JointSigma = Annotated[float | None, option_of(FitOptions, "joint_sigma")]
 # The options of a fit that most commands offer, in the order of the help.
 FIT = ("hold_out", "joint_sigma", "free", "fix", "prior", "loss", "usual_only")
 Fitting = Annotated[FitOptions, FIT]
-FittingByMethod = Annotated[FitOptions, ("method", *FIT)]
+FittingOrUpdating = Annotated[FitOptions, (*FIT, "update")]
+FittingByMethod = Annotated[FitOptions, ("method", *FIT, "update")]
 
 
 def patterns(given: list[str] | None) -> tuple[str, ...]:

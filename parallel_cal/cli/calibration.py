@@ -151,8 +151,11 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
         replace_model(model, output)
         written = {"output": str(output), "hash": model_hash(model)}
         following = command_line(["diagnose", output], model, run.bags, run.data)
+    updates = ["--update"] if step.result.options.update else []
+    if written and updates and step.name == "fit":  # the new model knows these samples
+        following = command_line(["diagnose", run.model], model, run.bags, run.data, *updates)
     if implausible := bool(step.result.implausible):
-        following = command_line(["diagnose", run.model], step.model, run.bags, run.data)
+        following = command_line(["diagnose", run.model], step.model, run.bags, run.data, *updates)
     is_command, reason = bool(written) or implausible, ""
     if (odd := step.result.outliers) is not None:
         from parallel_cal.model.words import join_words

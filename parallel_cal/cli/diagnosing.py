@@ -9,7 +9,7 @@ from parallel_cal.cli.arguments import (
     Bags,
     Data,
     Details,
-    Fitting,
+    FittingOrUpdating,
     Json,
     ModelFile,
     Tested,
@@ -31,7 +31,7 @@ def diagnose(
     *,
     effect: Tested = None,
     also: Also = None,
-    options: Fitting,
+    options: FittingOrUpdating,
     data: Data = None,
     details: Details = False,
     as_json: Json = False,
@@ -61,6 +61,8 @@ def diagnose(
     console.show(describe(found), list_options(details))
     # The proposed commands exclude samples themselves.
     reading = [f"--data={item}" for item in data or [] if not item.startswith("exclude=")]
+    updates = ["--update"] if options.update else []
+    reading += updates
     names = {
         "parallel-cal": write_program(found.model),
         "MODEL": shlex.quote(str(model)),
@@ -79,6 +81,7 @@ def diagnose(
     elif is_last and (command := export_command(found.model, model)):
         lines.append(Line(label, command, COMMAND))
     elif not found.next_steps:
-        command = command_line(["report", model], found.model, bags, data, "-o", "report.html")
+        words = *updates, "-o", "report.html"
+        command = command_line(["report", model], found.model, bags, data, *words)
         lines.append(Line("next:", command, COMMAND))
     console.show([summary_table(lines)])

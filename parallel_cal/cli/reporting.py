@@ -14,7 +14,7 @@ from parallel_cal.cli.arguments import (
     Also,
     Bags,
     Data,
-    Fitting,
+    FittingOrUpdating,
     Json,
     ModelFile,
     Tested,
@@ -60,7 +60,7 @@ def report(
     field: CertificateField = None,
     effect: Tested = None,
     also: Also = None,
-    options: Fitting,
+    options: FittingOrUpdating,
     data: Data = None,
     as_json: Json = False,
 ) -> None:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from parallel_cal.cli.arguments import (
-    FIT,
     AddedEffects,
     Bags,
     Data,
     EffectName,
     EffectsInModel,
+    FittingByMethod,
     Fix,
     Free,
     Json,
@@ -30,7 +30,6 @@ from parallel_cal.cli.reporting import (
     ReportFile,
     write_report,
 )
-from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -93,7 +92,7 @@ def new(
     model: ModelFile,
     bags: Bags,
     *,
-    options: Annotated[FitOptions, ("method", *FIT, "update")],
+    options: FittingByMethod,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -269,7 +268,7 @@ def report(
             session.model,
             session.dataset,
             certificate=stated,
-            options=session.options,
+            options=session.options_for(session.dataset),
             progress=console.progress,
         )
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.cli.arguments import Data, Fitting, with_options
+from parallel_cal.cli.arguments import Data, FittingOrUpdating, with_options
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
@@ -69,7 +69,7 @@ def workbench(
     port: Port = 8080,
     token: Token = "",
     browser: Browser = True,
-    options: Fitting,
+    options: FittingOrUpdating,
     data: Data = None,
 ) -> None:
     """Open the live page. It shows where the model fails, adds the missing effect and checks the

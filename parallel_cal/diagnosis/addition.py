@@ -172,8 +172,9 @@ def find_addition(
         extended = base.start
         for one in added:
             extended = extended.with_effect(one.name, one.settings)
-        placed = base.given.place(extended, options)
-        return fit_unjudged(placed, base.dataset, options, progress, base.given).judge(progress)
+        how = replace(options, prior=base.prior or options.prior)  # of an update, that of today
+        placed = base.given.place(extended, how)
+        return fit_unjudged(placed, base.dataset, how, progress, base.given).judge(progress)
 
     def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
         scene, added = see(base), list[Candidate]()
@@ -206,7 +207,7 @@ def find_addition(
 
 def see(found: FitResult) -> Scene:
     """The residuals of a fit, on which candidates are scored."""
-    return Scene.of(found.model, found.dataset, found.observations, found.free)
+    return Scene.of(found.model, found.dataset, found.observations, found.free, within=found.prior)
 
 
 def with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:

@@ -69,7 +69,7 @@ def _scene_without(best: Trial, smaller: Model) -> Scene:
     free = dict(zip(fitted.model.table.names, fitted.free.tolist(), strict=True))
     observations = replace(fitted.observations, a=conditions(smaller, fitted.dataset))
     mask = np.array([free[name] for name in smaller.table.names])
-    return Scene.of(smaller, fitted.dataset, observations, mask, best.shared)
+    return Scene.of(smaller, fitted.dataset, observations, mask, best.shared, fitted.prior)
 
 
 def describe_ambiguities(found: Sequence[Ambiguity], plan: DecidingPoses | None) -> tuple[str, ...]:

@@ -84,7 +84,7 @@ class Causes:
         None if there is no such fit."""
         more = [one for one in tried.chosen if one not in first]
         predicted = self._predict_chi2(described, more)
-        reached = tried.fitted.estimate.chi2 / self.variance
+        reached = tried.fitted.chi2_with_prior / self.variance
         if abs(reached - predicted) >= MAX_LINEAR_ERROR:
             return tried
         if len(more) < 2:
@@ -101,7 +101,7 @@ class Causes:
         ]
         likeliest = self.sum.evidence(described.chosen, described.nu)
         promised = likeliest.log_p - self.sum.evidence(less, described.nu).log_p
-        lost = (least - predicted) - (rest.fitted.estimate.chi2 / self.variance - reached)
+        lost = (least - predicted) - (rest.fitted.chi2_with_prior / self.variance - reached)
         return rest if lost / (2 * likeliest.noise_variance) > promised else None
 
     def _predict_chi2(self, described: Posterior, effects: Collection[Chosen]) -> float:

@@ -146,14 +146,17 @@ class Undecided:
         J = (system.jacobian * table.tolerance[free]).reshape(-1, len(names))
         r = system.residual.reshape(-1)
         nominal = ((table.nominal - model.values) / table.tolerance)[free]
-        groups = np.array([parameter.group for parameter in table])[free]
-        geometry = ~np.isin(groups, ("effect", "sensor"))
-        vague = np.full(len(names), VAGUE_INFORMATION**-0.5)
-        if scene.sizes is not None:  # the sum has the geometry within its tolerances
-            vague[geometry] = 1.0
+        vague = np.diag(np.full(len(names), VAGUE_INFORMATION**-0.5))
         in_doubt, supposed = {name for *_, roots in sets for name in roots}, list[Supposed]()
+        if (known := scene.within) is not None:
+            sure = [name in known.names and name.split(".")[0] not in in_doubt for name in names]
+            held = free.copy()
+            held[free] = sure
+            vague[np.ix_(sure, sure)] = known.factor(table, held)
+            away = (known.of_table(table).mean - model.values) / table.tolerance
+            nominal[sure] = away[held]
         for words, p, roots in sets:
-            usual = np.diag(vague)
+            usual = vague.copy()
             for name in in_doubt:
                 own = np.flatnonzero(np.char.startswith(names, f"{name}."))
                 root = roots.get(name, np.zeros((len(own), 0)))

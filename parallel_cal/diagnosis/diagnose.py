@@ -62,7 +62,13 @@ from parallel_cal.diagnosis.verdict import (
     leaves_more_than_noise,
 )
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.fit import FitResult, UnjudgedFit, fit, fit_unjudged
+from parallel_cal.identification.fit import (
+    FitResult,
+    Prepared,
+    UnjudgedFit,
+    fit,
+    fit_unjudged,
+)
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
@@ -71,11 +77,7 @@ from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
 )
-from parallel_cal.identification.registration import (
-    Registration,
-    add_registration_warning,
-    prepared_for_fit,
-)
+from parallel_cal.identification.registration import Registration
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
@@ -379,13 +381,29 @@ def diagnose(
         return setup.diagnose_without_mistrusted()
 
 
+@single_threaded()
+def diagnose_fitted(
+    model: Model, dataset: Dataset, fitted: FitResult, progress: Progress | None = None
+) -> Diagnosis:
+    """Diagnose a model as `diagnose` does, with its `fitted` result to the same samples, which is
+    not computed again. Raises FitError as `diagnose`."""
+    options, report = fitted.options, progress or ignore_progress
+    if options.loss != "linear":  # such a fit only tells which samples it mistrusts
+        return diagnose(model, dataset, options=options, progress=report)
+    names = list_effects_to_test(fitted.start, (), ())
+    place = fitted.given, fitted.start, fitted.dataset, fitted.registration
+    setup = _Setup(model, dataset, *place, names, options, report, fitted)
+    with naming_wrong_columns(setup.model, setup.dataset, setup.any_size):
+        return setup.diagnose_without([])
+
+
 @dataclass(frozen=True)
 class _Setup:
     """What is asked about which samples.
 
     `recorded` are the samples as given for the model that was `asked`; `dataset` those of the
     `model` with the device in its place, and `given` is that model before any fit. `names` are the
-    effects to test.
+    effects to test. `fitted` is the fit of the model to all these samples, if it is known.
     """
 
     asked: Model
@@ -397,6 +415,7 @@ class _Setup:
     names: list[str]
     options: FitOptions
     report: Progress
+    fitted: FitResult | None = None
 
     @classmethod
     def of(
@@ -408,21 +427,17 @@ class _Setup:
         options: FitOptions,
         report: Progress,
     ) -> _Setup:
-        """Place the device, and list the effects to test."""
-        given = GivenModel.of(asked, recorded, options.joint_sigma, options.insist)
-        dataset = given.dataset
-        model, registration = prepared_for_fit(given.start, given.registration, dataset, options)
-        dataset = add_registration_warning(dataset, registration)
-        names = list_effects_to_test(model, also, effects)
+        """Prepare the samples as a fit does, and list the effects to test."""
+        ready = Prepared.of(asked, recorded, options)
         return cls(
             asked,
             recorded,
-            given,
-            model,
-            dataset,
-            registration,
-            names,
-            options,
+            ready.given,
+            ready.start,
+            ready.dataset,
+            ready.registration,
+            list_effects_to_test(ready.start, also, effects),
+            ready.options,
             report,
         )
 
@@ -456,7 +471,8 @@ class _Setup:
         kept = self.dataset.excluding(aside, why)
         judged = self.given.with_dataset(kept)
         least_squares = replace(self.any_size, loss="linear")
-        refit = refit_with_equal_weights(self.model, judged, least_squares)
+        base = None if aside else self.fitted
+        refit = refit_with_equal_weights(self.model, judged, least_squares, base)
 
         def place(extended: Model) -> Model:
             return judged.place(extended, self.any_size)
@@ -471,7 +487,7 @@ class _Setup:
             samples, known = self.recorded.excluding(aside, why), (base, result)
             return find_addition(self.asked, text, samples, as_add, knocked=(), known=known)
 
-        search = Search(self.model, refit, self.report, self.options.usual_only, place)
+        search = Search(self.model, refit, self.report, self.options.usual_only, place, base)
         self.report("identifying the geometry", 0.0)
         if not aside and (odd := self._find_contradicting(search.fit(judged=False))):
             return self.diagnose_without(odd[0], seen=odd[1])
@@ -527,10 +543,13 @@ def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagno
     )
 
 
-def refit_with_equal_weights(model: Model, given: GivenModel, options: FitOptions) -> Refit:
+def refit_with_equal_weights(
+    model: Model, given: GivenModel, options: FitOptions, base: FitResult | None = None
+) -> Refit:
     """Return what refits larger models than `model` to the same samples, with the noise that the
-    first fit estimates: only with equal weights can the residuals of two models be compared."""
-    noise: Observations | None = None
+    first fit estimates, or `base` if it is known: only with equal weights can the residuals of two
+    models be compared."""
+    noise: Observations | None = None if base is None else base.observations
 
     def refit(extended: Model, insist: bool, near: FitResult | None) -> UnjudgedFit:
         nonlocal noise

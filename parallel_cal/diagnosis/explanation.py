@@ -24,6 +24,7 @@ from parallel_cal.diagnosis.causes import Causes, Doubt, as_effects, find_swaps
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.thresholds import CREDIBLE
 from parallel_cal.identification.observations import conditions
+from parallel_cal.identification.prior import Prior
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW
 from parallel_cal.posterior.scene import Scene
@@ -91,8 +92,9 @@ class Explanation:
         first, names = base.chosen, [name for name in names if name not in base.names]
         refuted, wrong = dict[str, str](), list[str]()
         # What a first cause leaves may still be imitated by a geometry that no robot has.
-        scene = _scene_about(base, base, within_tolerances=True) if first else base.scene
-        causes, known = Causes.of(scene, names), list[frozenset[Chosen]]()
+        known = _find_known(base) if first else base.fitted.prior
+        scene = _scene_about(base, base, known) if first else base.scene
+        causes, seen = Causes.of(scene, names), list[frozenset[Chosen]]()
         absurd = dict[str, str]()
         posterior: Posterior | None = None
         while True:
@@ -107,7 +109,7 @@ class Explanation:
                 refuted[name] = tried.reason
                 wrong += [tried.reason] if tried.wrong_sign else []
                 continue
-            ended = not more or frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS
+            ended = not more or frozenset(chosen) in seen or len(seen) == MAX_LINEARISATIONS
             nearer = None if ended else causes.find_nearer(search, first, tried, described)
             if nearer is None:
                 found = cls(search, posterior, described, tried, refuted, tuple(wrong), base.names)
@@ -118,8 +120,8 @@ class Explanation:
                 best = search.fit_as_shown(*chosen)
                 described = replace(described, settings=_weigh_settings(causes, described))
                 return replace(found, described=described, best=best, absurd=absurd, doubt=doubt)
-            known.append(frozenset(chosen))
-            causes = Causes.of(_scene_about(base, nearer, bool(first)), names)
+            seen.append(frozenset(chosen))
+            causes = Causes.of(_scene_about(base, nearer, known), names)
 
     @property
     def outdone(self) -> tuple[str, ...]:
@@ -249,7 +251,12 @@ def _depends_on(posterior: Posterior, name: str, conditions: set[str]) -> bool:
     return posterior.kinds[name] == EFFECT and not conditions.isdisjoint(load_effect(name).needs)
 
 
-def _scene_about(base: Trial, best: Trial, within_tolerances: bool) -> Scene:
+def _find_known(base: Trial) -> Prior:
+    """What is known of the robot before these samples: its drawing, unless the fit had a prior."""
+    return base.fitted.prior or Prior.of_drawing(base.fitted.model.table)
+
+
+def _scene_about(base: Trial, best: Trial, within: Prior | None) -> Scene:
     """The scene of the model without further effects, with the geometry found with them.
 
     Its residual is that of the fit with them, extrapolated to none of them: a sum about it is exact
@@ -260,11 +267,9 @@ def _scene_about(base: Trial, best: Trial, within_tolerances: bool) -> Scene:
     before = fitted.model.table.mapping(fitted.model.values)
     values = np.array([found.get(name, value) for name, value in before.items()])
     about = replace(fitted.model, values=values)
-    scene = Scene.of(
-        about, fitted.dataset, fitted.observations, fitted.free, base.shared, within_tolerances
-    )
+    scene = Scene.of(about, fitted.dataset, fitted.observations, fitted.free, base.shared, within)
     effects = [one for one in best.chosen if one not in base.chosen]
-    if within_tolerances or not effects or result.mechanism is not about.mechanism:
+    if within is not None or not effects or result.mechanism is not about.mechanism:
         return scene
     residual = best.scene.closure_residual
     if scene.turn is not None:
@@ -284,13 +289,11 @@ def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
     """The fit with that likely cause with which a plausible geometry describes the samples best, or
     with all of them if none is enough alone; the given one if there is none.
 
-    The sum is about the drawing, with the tolerances of the geometry: about a geometry that no
-    robot has, other effects imitate what is missing.
+    The sum is about what is known of the robot, such as its drawing with the tolerances: about a
+    geometry that no robot has, other effects imitate what is missing.
     """
-    fitted = base.fitted
-    drawn = Scene.of(
-        fitted.start, fitted.dataset, fitted.observations, fitted.free, within_tolerances=True
-    )
+    fitted, known = base.fitted, _find_known(base)
+    drawn = Scene.of(fitted.start, fitted.dataset, fitted.observations, fitted.free, within=known)
     posterior, _, chosen = Causes.of(drawn, names).explain()
     likely = {one.name: one for one in chosen}
     for name, p in posterior.probability.items():
@@ -301,7 +304,7 @@ def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
         trials = (search.fit_as_shown(*one, judged=False) for one in tried)
         plausible = [one for one in trials if one.result is not None]
         if plausible:
-            return min(plausible, key=lambda one: one.fitted.estimate.chi2)
+            return min(plausible, key=lambda one: one.fitted.chi2_with_prior)
     return base
 
 

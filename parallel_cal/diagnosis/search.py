@@ -90,7 +90,7 @@ class Trial:
         """The scene of the refit, made once for all trials that share it."""
         if not self.scenes:
             r = self.fitted
-            scene = Scene.of(r.model, r.dataset, r.observations, r.free, self.shared)
+            scene = Scene.of(r.model, r.dataset, r.observations, r.free, self.shared, r.prior)
             self.scenes.append(scene)
         return self.scenes[0]
 
@@ -121,8 +121,8 @@ class Search:
     the effects of the refit: the lack of a large one moves it.
 
     Validation errors cost several fits: they are computed for those refits only that must be
-    judged. The fit without further effects may have a geometry that no robot has, which imitates
-    what is missing; one with effects must explain it.
+    judged. The fit without further effects, which may be known (`base`), may have a geometry that
+    no robot has, which imitates what is missing; one with effects must explain it.
     """
 
     def __init__(
@@ -132,11 +132,14 @@ class Search:
         progress: Progress,
         usual_only: bool = False,
         place: Place | None = None,
+        base: FitResult | None = None,
     ):
         self._model, self._progress, self._refit = model, progress, refit
         self._usual_only, self._place = usual_only, place or (lambda model: model)
         self._shared = SharedDerivatives()
         self._known: dict[tuple[Collection[Chosen], bool, bool], Trial] = {}
+        if base is not None:
+            self._known[frozenset(), False, False] = Trial((), base, shared=self._shared)
 
     def fit(
         self, *chosen: Chosen, insist: bool = False, judged: bool = True, once: bool = False

@@ -182,7 +182,11 @@ def _make_scene(base: FitResult, given: Dataset) -> tuple[Scene, Dataset]:
     n = len(base.dataset)
     some = np.unique(np.linspace(0, n - 1, min(n, ENOUGH_SAMPLES)).astype(int))
     scene = Scene.of(
-        base.model, base.dataset.select(some), base.observations.select(some), base.free
+        base.model,
+        base.dataset.select(some),
+        base.observations.select(some),
+        base.free,
+        within=base.prior,
     )
     return scene, given.select(some)
 

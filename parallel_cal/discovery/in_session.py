@@ -21,7 +21,8 @@ def discover_in_session(
 ) -> tuple[Discovery, list[Path]]:
     """Search for laws in what a session's model leaves, and write each proven law to an effect
     file, by whose name `session.add` takes it. The session's state is unchanged."""
-    found = discover(session.model, session.dataset, options=session.options, progress=progress)
+    data = session.dataset
+    found = discover(session.model, data, options=session.options_for(data), progress=progress)
     return found, write_laws(found.laws, session.effects_folder)
 
 

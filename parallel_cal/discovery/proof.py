@@ -101,7 +101,8 @@ def _prove(
     # With the samples in which the law was found.
     find = partial(find_addition, proof.model, name, dataset, knocked=())
     found = find(options, known=(proof.fit, None))
-    if found.result.implausible:  # geometry imitates the law: known sizes decide how much
+    if found.result.implausible and proof.fit.prior is None:
+        # Geometry imitates the law: known sizes decide how much.
         found = find(replace(options, prior=True))
     step = step_of(found, force=True)
     refitted = step.result.parameters()

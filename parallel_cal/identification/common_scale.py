@@ -60,7 +60,7 @@ class CommonScale:
             unknown = model.table.matching(parts)
             unknown[scale] = True
             size[unknown] *= UNKNOWN_TOLERANCES
-            prior = Prior(model.table.nominal, np.diag(size**2))
+            prior = Prior(model.table.names, model.table.nominal, np.diag(size**2))
             freed = free.copy()
             freed[scale] = True
             try:

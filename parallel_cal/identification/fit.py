@@ -69,6 +69,7 @@ from parallel_cal.identification.prediction_errors import (
     improvement,
 )
 from parallel_cal.identification.predictions import predict_positions
+from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.identification.recheck import Recheck, drift_prior, weigh_changes
 from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.identification.registration import (
@@ -159,6 +160,20 @@ class FitResult(ShownInNotebook):
     drift: Recheck | None = None
     implausible: str = ""
     outliers: Outliers | None = None
+
+    @property
+    def prior(self) -> Prior | None:
+        """What was known of the parameters before these samples, of a fit with a stated prior; None
+        if tolerances alone were known."""
+        return self.options.prior if isinstance(self.options.prior, Prior) else None
+
+    @property
+    def chi2_with_prior(self) -> float:
+        """chi2 of the samples, and of the parameters about the mean of a stated prior."""
+        if self.prior is None:
+            return self.estimate.chi2
+        known = Knowledge.of(self.prior, self.model.table, self.free)
+        return self.estimate.chi2 + known.cost(self.model.values)
 
     @property
     def plausible_model(self) -> Model:
@@ -534,19 +549,15 @@ def fit(
     options = with_changes(options, FitOptions, changes, FitError)
     if not dataset.sha256:  # so that another fit of these samples knows that the first used them
         dataset = replace(dataset, sha256=fingerprint(dataset))
-    model = place_set_up(model, dataset, options)
-    given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
-    dataset = given.dataset
-    start = add_effects(given.start, effects, dataset)
-    dataset = add_lagged_conditions(start.conditions, dataset)
-    start, registration = prepared_for_fit(start, given.registration, dataset, options)
-    dataset = add_registration_warning(dataset, registration)
-    drift = None
-    if options.update:
-        drift, options, words = weigh_drift(start, dataset, options, registration is not None)
-        dataset = replace(dataset, warnings=(*dataset.warnings, *words))
-    unjudged = fit_unjudged(start, dataset, options, progress, given)
-    result = replace(unjudged.judge(progress), drift=drift)
+    ready = Prepared.of(model, dataset, options, effects)
+    start, dataset, options, registration = (
+        ready.start,
+        ready.dataset,
+        ready.options,
+        ready.registration,
+    )
+    unjudged = fit_unjudged(start, dataset, options, progress, ready.given)
+    result = replace(unjudged.judge(progress), drift=ready.drift)
     # An outlier may hide where the geometry follows it.
     known = None if result.implausible else result.estimate
     outliers = search_outliers(start, dataset, result.observations, options, known)
@@ -560,12 +571,43 @@ def fit(
     return replace(result, registration=registration, base_motion=motion, warnings=warnings)
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """A model and samples that are ready for a fit, which begins at `start`, with the device and
+    the set-up in their places; of an update, the `options` have the knowledge of today as their
+    prior, and `drift` is whether the robot has drifted."""
+
+    given: GivenModel
+    start: Model
+    dataset: Dataset
+    options: FitOptions
+    registration: Registration | None
+    drift: Recheck | None
+
+    @classmethod
+    def of(
+        cls, model: Model, dataset: Dataset, options: FitOptions, effects: Sequence[str] = ()
+    ) -> Prepared:
+        """Place device and set-up, and weigh the drift of an update; raises FitError."""
+        model = place_set_up(model, dataset, options)
+        given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
+        start = add_effects(given.start, effects, given.dataset)
+        dataset = add_lagged_conditions(start.conditions, given.dataset)
+        start, registration = prepared_for_fit(start, given.registration, dataset, options)
+        dataset = add_registration_warning(dataset, registration)
+        drift, options, dataset = weigh_drift(start, dataset, options, registration is not None)
+        return cls(given, start, dataset, options, registration, drift)
+
+
 def weigh_drift(
     start: Model, dataset: Dataset, options: FitOptions, placed: bool
-) -> tuple[Recheck | None, FitOptions, tuple[str, ...]]:
-    """Return whether the robot drifted, the options with the prior that follows, and what to say:
-    the data decide how much each part may have drifted. Nothing tells it if nobody stated the
-    noise, or if the samples `placed` the device; then the usual drift is the prior."""
+) -> tuple[Recheck | None, FitOptions, Dataset]:
+    """Return of an update whether the robot drifted, the options with the prior that follows, and
+    the samples with what to say: the data decide how much each part may have drifted. Nothing tells
+    it if nobody stated the noise, or if the samples `placed` the device; then the usual drift is
+    the prior. Without an update, and with a prior that is known, nothing is weighed."""
+    if not options.update or isinstance(options.prior, Prior):
+        return None, options, dataset
     seen = observe(start, dataset, options.joint_sigma, options.insist)
     if seen.noise_assumed:
         why = "nobody stated the noise: state it in the model file, or with --joint-sigma"
@@ -576,9 +618,11 @@ def weigh_drift(
         )
     else:
         found = weigh_changes(start, seen)
-        return found, replace(options, prior=drift_prior(start, found)), found.warnings
-    said = (f"whether the robot has drifted is not known, because {why}",)
-    return None, replace(options, prior=update_prior(start)), said
+        told = replace(dataset, warnings=(*dataset.warnings, *found.warnings))
+        return found, replace(options, prior=drift_prior(start, found)), told
+    said = f"whether the robot has drifted is not known, because {why}"
+    told = replace(dataset, warnings=(*dataset.warnings, said))
+    return None, replace(options, prior=update_prior(start)), told
 
 
 @dataclass(frozen=True)

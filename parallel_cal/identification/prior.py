@@ -14,15 +14,28 @@ from parallel_cal.model.parameters import ParameterTable
 
 @dataclass(frozen=True)
 class Prior:
-    """Parameters known as mean (n,) with covariance (n, n), in SI units, before the fit."""
+    """Parameters known before the fit: their names (n), mean (n,) and covariance (n, n), in SI
+    units. A model may have more parameters, such as those of an effect that is tried, or fewer."""
 
+    names: tuple[str, ...]
     mean: np.ndarray
     covariance: np.ndarray
+
+    def document(self) -> str:
+        """What a list of options says of it."""
+        return f"mean and covariance of {len(self.names)} parameters"
 
     @staticmethod
     def from_tolerances(table: ParameterTable) -> Prior:
         """Every parameter at its nominal value, to within its tolerance."""
-        return Prior(table.nominal, np.diag(table.tolerance**2))
+        return Prior(table.names, table.nominal, np.diag(table.tolerance**2))
+
+    @staticmethod
+    def of_drawing(table: ParameterTable) -> Prior:
+        """The geometry at its nominal values, to within its tolerances; nothing else is known."""
+        own = [i for i, p in enumerate(table) if p.group not in ("effect", "sensor")]
+        names = tuple(table.names[i] for i in own)
+        return Prior(names, table.nominal[own], np.diag(table.tolerance[own] ** 2))
 
     @staticmethod
     def from_model(model: Model) -> Prior:
@@ -38,13 +51,28 @@ class Prior:
         scale = np.outer(model.table.tolerance, model.table.tolerance)
         size, directions = np.linalg.eigh(model.covariance / scale)
         unseen = directions[:, size < RELATIVE_RANK**2 * size[-1]]
-        return Prior(model.values, model.covariance + (unseen @ unseen.T) * scale)
+        covariance = model.covariance + (unseen @ unseen.T) * scale
+        return Prior(model.table.names, model.values, covariance)
+
+    def of_table(self, table: ParameterTable) -> Prior:
+        """What is known of the parameters of a table: those that the prior does not name are known
+        as before any data."""
+        if self.names == table.names:
+            return self
+        at = {name: i for i, name in enumerate(self.names)}
+        here = np.array([name in at for name in table.names], dtype=bool)
+        there = [at[name] for name in table.names if name in at]
+        mean, covariance = table.nominal.copy(), np.diag(table.prior_sigma**2)
+        mean[here] = self.mean[there]
+        covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
+        return Prior(table.names, mean, covariance)
 
     def factor(self, table: ParameterTable, free: np.ndarray) -> np.ndarray:
         """The Cholesky factor L (n_free, n_free) of the covariance L L^T of the free parameters, in
         tolerances. FitError if it is singular."""
         tolerance = table.tolerance[free]
-        scaled = self.covariance[np.ix_(free, free)] / np.outer(tolerance, tolerance)
+        covariance = self.of_table(table).covariance[np.ix_(free, free)]
+        scaled = covariance / np.outer(tolerance, tolerance)
         try:
             return np.asarray(np.linalg.cholesky(scaled))
         except np.linalg.LinAlgError:
@@ -98,7 +126,8 @@ class Knowledge:
         if prior:
             inverse = np.linalg.inv(known.factor(table, free))
             information = np.asarray(inverse.T @ inverse)
-        return cls(tolerance, free, np.asarray(known.mean)[free], weight * information)
+        mean = np.asarray(known.of_table(table).mean)[free]
+        return cls(tolerance, free, mean, weight * information)
 
     @classmethod
     def from_directions(

@@ -276,4 +276,4 @@ def drift_prior(model: Model, found: Recheck) -> Prior:
     let expect. Raises FitError for a model without a covariance."""
     last = update_prior(model, 0.0)
     drift = 0.0 if found.expected is None else found.expected.covariance
-    return Prior(last.mean, last.covariance + drift)
+    return Prior(last.names, last.mean, last.covariance + drift)

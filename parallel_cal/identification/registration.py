@@ -556,7 +556,7 @@ def _fit_beside_robot(
     effects = np.array([p.group == "effect" for p in model.table])
     sizes = np.where(effects, LARGEST_EFFECT, 1.0)
     sigma = np.where(unknown, UNKNOWN_TOLERANCES, sizes) * model.table.tolerance
-    prior = Prior(model.table.nominal, np.diag(sigma**2))
+    prior = Prior(model.table.names, model.table.nominal, np.diag(sigma**2))
     found = implicit.estimate(model, observations, free, prior)
     return model.with_values(found.values)
 

@@ -114,7 +114,7 @@ def update_prior(model: Model, scale: float = 1.0) -> Prior:
     last[sensor] = 0.0
     last[:, sensor] = 0.0
     last[sensor, sensor] = table.tolerance[sensor] ** 2
-    return Prior(model.values, last + scale**2 * usual_drift(model))
+    return Prior(table.names, model.values, last + scale**2 * usual_drift(model))
 
 
 def usual_drift(model: Model) -> np.ndarray:

@@ -12,6 +12,7 @@ from parallel_cal.base.rotation import turns_from_mean
 from parallel_cal.identification.linearisation import Linearisation, rms_by_sample
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predict_configurations, reading_residuals
+from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, RELATIVE_RANK
 from parallel_cal.model.model import Model
@@ -59,11 +60,11 @@ class Scene:
     these are fewer than the rows of the closure, `turn` (N, rows, rows of the closure) are their
     orthonormal directions among those.
 
-    The geometry takes a direction of the basis as a whole, unless the scene is one within its
-    tolerances: `sizes` (rank,) are then the standard deviations of the residual along the basis
-    that they allow, in noise units, infinite for frames. Residual and columns are multiplied by
-    S^-1/2, with S = 1 + U diag(sizes^2) U' and U the basis, so that their products are those of the
-    evidence.
+    The free parameters take a direction of the basis as a whole, except those that are known
+    `within` a prior, from whose mean the residual is then: `sizes` (rank,) are the standard
+    deviations of the residual along the basis that the parameters allow, in noise units, infinite
+    for the others. Residual and columns are multiplied by S^-1/2, with S = 1 + U diag(sizes^2) U'
+    and U the basis, so that their products are those of the evidence.
     """
 
     model: Model
@@ -80,6 +81,7 @@ class Scene:
     turn: np.ndarray | None = field(default=None, repr=False)
     shared: SharedDerivatives | None = field(default=None, repr=False)
     sizes: np.ndarray | None = field(default=None, repr=False)
+    within: Prior | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -89,11 +91,11 @@ class Scene:
         observations: Observations,
         free: np.ndarray,
         shared: SharedDerivatives | None = None,
-        within_tolerances: bool = False,
+        within: Prior | None = None,
     ) -> Scene:
-        """Make the scene of a fitted model; the residual is what its free parameters leave, or the
-        geometry `within_tolerances` of its nominal values. Scenes of other models of the same
-        samples may have the same `shared` derivatives."""
+        """Make the scene of a fitted model; the residual is what its free parameters leave, those
+        that a prior names only `within` it. Scenes of other models of the same samples may have the
+        same `shared` derivatives."""
         x = predict_configurations(model, observations)
         linearise = Linearisation(model, observations, free, True)
         C = np.empty((len(x), model.structure.rows.shape[0], len(model.structure.scale)))
@@ -105,19 +107,23 @@ class Scene:
             turn = np.linalg.svd(whitener)[0][:, :, :rows].transpose(0, 2, 1)
             whitener, r, J = turn @ whitener, turn @ r, turn @ J
         r = r.reshape(-1)
-        J = J.reshape(len(r), -1) * model.table.prior_sigma[free]
-        is_held = np.array([p.group not in ("effect", "sensor") for p in model.table])[free]
-        is_held &= within_tolerances
+        table = model.table
+        J = J.reshape(len(r), -1) * table.prior_sigma[free]
+        known = () if within is None else within.names
+        held = free & np.array([name in known for name in table.names])
+        is_held = held[free]
         basis = compute_orthonormal_basis(
             J[:, ~is_held], RELATIVE_RANK, MIN_SIGMAS_PER_TOLERANCE
         )  # what a fit holds takes nothing away
         dof = int(system.informative.sum()) - basis.shape[1]
         sizes: np.ndarray | None = None
-        if within_tolerances:
-            away = (model.table.nominal - model.values) / model.table.prior_sigma
-            r = r + J[:, is_held] @ away[free][is_held]
-            held = J[:, is_held] - basis @ (basis.T @ J[:, is_held])
-            directions, allowed, _ = np.linalg.svd(held, full_matrices=False)
+        if within is not None:
+            away = (within.of_table(table).mean - model.values) / table.prior_sigma
+            r = r + J[:, is_held] @ away[held]
+            root = (table.tolerance / table.prior_sigma)[held][:, None] * within.factor(table, held)
+            columns = J[:, is_held] @ root
+            columns -= basis @ (basis.T @ columns)
+            directions, allowed, _ = np.linalg.svd(columns, full_matrices=False)
             sizes = np.concatenate([np.full(basis.shape[1], np.inf), allowed])
             basis = np.hstack([basis, directions])
         residual = _project_off(r, basis, sizes)
@@ -136,6 +142,7 @@ class Scene:
             turn,
             shared,
             sizes,
+            within,
         )
 
     def in_units_of(self, variance: float) -> Scene:

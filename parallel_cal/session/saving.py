@@ -132,13 +132,13 @@ class SaveRefused(SessionError):
 def compare_with_model_in_use(
     model: Model,
     state: State,
-    read_samples: Callable[[], Dataset],
-    options: FitOptions,
+    read_samples: Callable[[], tuple[Dataset, FitOptions]],
     file: Path,
 ) -> Replacement:
     """Compare the model of a session's `state` with the model in `file` on the same samples.
 
-    If they cannot be compared, the reason is an objection, not an error.
+    `read_samples` returns the samples, with the options to fit them. If the models cannot be
+    compared, the reason is an objection, not an error.
     """
     own = model_hash(model)
     objections = list[str]()
@@ -149,11 +149,11 @@ def compare_with_model_in_use(
     if state.verdict in AMBER_VERDICTS:
         words = describe_verdict(state.verdict, state.summary)
         objections.append(f"the verdict on this model is {words}")
-    dataset: Dataset | None = None
+    samples: tuple[Dataset, FitOptions] | None = None
     judged: _Judged | None = None
     try:
-        dataset = read_samples()
-        judged = _Judged.of(model, dataset, options, fitted_to_these=bool(state.errors))
+        samples = read_samples()
+        judged = _Judged.of(model, *samples, fitted_to_these=bool(state.errors))
         objections += judged.doubts
     except ParallelCalError as error:
         objections.append(f"the errors of this model are not known: {error}")
@@ -165,12 +165,12 @@ def compare_with_model_in_use(
         return Replacement(file, "", (), own, in_use_hash)
     other: _Judged | None = None
     try:
-        other = _judge_in_use(file, model, dataset, options)
+        other = _judge_in_use(file, model, samples)
     except ParallelCalError as error:
         objections.insert(0, f"the model in use cannot be compared with this one: {error}")
-    if other is None or judged is None or dataset is None:
+    if other is None or judged is None or samples is None:
         return Replacement(file, "", tuple(objections), own, in_use_hash)
-    models = _compare_at_common_samples(other, judged, dataset)
+    models = _compare_at_common_samples(other, judged, samples[0])
     old, new = (one.errors for one in models)
     ratio = held_out_ratio(old, new)
     judgement = _judge_ratio(ratio, new)
@@ -270,17 +270,16 @@ class _Judged:
         return cls(model, result.before, USED, doubts)
 
 
-def _judge_in_use(
-    file: Path, model: Model, dataset: Dataset | None, options: FitOptions
-) -> _Judged:
+def _judge_in_use(file: Path, model: Model, samples: tuple[Dataset, FitOptions] | None) -> _Judged:
     """Judge the model in a file; ParallelCalError if it cannot be compared with `model`."""
     in_use = parse_model(model_text(file), str(file))
     if in_use.mechanism.name != model.mechanism.name:
         raise SessionError(
             f"{file} is a {in_use.mechanism.name}, this model is a {model.mechanism.name}"
         )
-    if dataset is None:
+    if samples is None:
         raise SessionError("there are no samples to compare them on")
+    dataset, options = samples
     # What this session fixes or frees is no property of the other model.
     others = replace(options, fix=(), free=())
     return _Judged.of(in_use, dataset, others, was_last_fitted_to(in_use, dataset))

@@ -19,6 +19,7 @@ from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.patterns import explain_exclusion
+from parallel_cal.identification.fit import Prepared
 from parallel_cal.identification.observations import noise_in_use, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
@@ -181,6 +182,19 @@ class Session(History):
         some = whole.thinned(most)
         return None if some is whole else some
 
+    def options_for(self, dataset: Dataset) -> FitOptions:
+        """Return the options of this state for a fit of these samples of the session.
+
+        In a session that updates a calibration, what is known of the robot today is their prior: it
+        follows from the last calibration, since a later state already knows the samples.
+        """
+        return self._with_prior(self.options, dataset)
+
+    def _with_prior(self, options: FitOptions, dataset: Dataset) -> FitOptions:
+        if not options.update:
+            return options
+        return Prepared.of(self._begin_of_update, dataset, options).options
+
     def _select_counted(self, excluded: Mapping[int, str]) -> Dataset:
         return self.samples.excluding(excluded, "in this session")
 
@@ -221,7 +235,7 @@ class Session(History):
 
         Both fits exclude the samples that the diagnosis of this state excluded because they are far
         from all others. They stay excluded until they are included again."""
-        how: dict[str, Any] = {"options": self.options, "progress": progress}
+        how: dict[str, Any] = {"options": self.options_for(self.dataset), "progress": progress}
         step = add(self.model, effect, self.dataset, force, self.state.knocked, **how)
         laws = [name for name, _ in parse_effects(effect) if load_effect(name).found_in_data]
         cause = " (found in data, cause unknown)" if laws else ""
@@ -243,9 +257,9 @@ class Session(History):
     ) -> State:
         """Remove an effect and fit again; FitError if that costs accuracy, unless forced. The
         `reason` is as in `add`."""
-        step = remove(
-            self.model, effect, self.dataset, force, options=self.options, progress=progress
-        )
+        data = self.dataset
+        how: dict[str, Any] = {"options": self.options_for(data), "progress": progress}
+        step = remove(self.model, effect, data, force, **how)
         return self._commit_judged(f"remove {effect}", step, reason)
 
     @property
@@ -334,8 +348,10 @@ class Session(History):
             **{**self.record.fitting, **changes.get("fitting", self.state.fitting)}
         )
         given = self.model if model is None else model
-        if options.update:
+        if options.update and given.table.names == self._begin_of_update.table.names:
             given = self._begin_of_update
+        elif options.update:  # effects were added since
+            options = self._with_prior(options, data)
         step = fitted(given, data, True, options=options, progress=progress, effects=effects)
         if step.result.implausible:  # later steps would start from it
             raise FitError(step.acceptance.against)
@@ -445,9 +461,9 @@ class Session(History):
 
     def diagnose(self, progress: Progress | None = None, **options: Any) -> Diagnosis:
         """Diagnose the model of this state; the verdict is stored with the state."""
-        at = self.state
-        how: dict[str, Any] = {"options": self.options, "progress": progress} | options
-        found = diagnose(self.model, self.dataset, **how)
+        at, data = self.state, self.dataset
+        how: dict[str, Any] = {"options": self.options_for(data), "progress": progress} | options
+        found = diagnose(self.model, data, **how)
         knocked = [one.sample for one in found.knocked]
         self.record_verdict(at, found.verdict.word, found.verdict.text, knocked)
         return found
@@ -524,7 +540,11 @@ class Session(History):
         if progress:
             progress("comparing with the model in use", 0.0)
         at = self.state
-        found = compare_with_model_in_use(self.model, at, lambda: self.dataset, self.options, file)
+
+        def read() -> tuple[Dataset, FitOptions]:
+            return self.dataset, self.options_for(self.dataset)
+
+        found = compare_with_model_in_use(self.model, at, read, file)
         self.refresh()
         if self.state != at:
             raise SessionError(CHANGED)
@@ -539,7 +559,7 @@ class Session(History):
 
     def _commit(self, words: str, step: Step, **changes: Any) -> State:
         """Append a step as the last state of the branch, with its errors."""
-        drift = step.result.drift
+        drift, start = step.result.drift, self.state  # a later step weighs no drift again
         judged = {
             "before": to_json_value(step.errors_to_beat.document()),
             "errors": to_json_value(step.result.held_out.summary.document()),
@@ -547,8 +567,8 @@ class Session(History):
             "weights": vars(noise_in_use(step.model, step.result.observations)),
             "against": step.acceptance.against,
             "samples": step.result.samples,
-            "drift": "" if drift is None else drift.warnings[0],
-            "recheck": {} if drift is None else to_json_value(drift.document()),
+            "drift": start.drift if drift is None else drift.warnings[0],
+            "recheck": start.recheck if drift is None else to_json_value(drift.document()),
             "sigmas": step.result.rms_sigmas(step.result.held_out),
             "sigmas_before": step.sigmas_to_beat,
         }

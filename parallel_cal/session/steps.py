@@ -291,7 +291,7 @@ def remove(
     smaller = model.without_effect(effect)  # report a wrong name before a fit
     how, progress = _collect_options(options)
     with_it = fit(model, dataset, how, progress)
-    limited = limit_patterns(how, smaller, model)
+    limited = replace(limit_patterns(how, smaller, model), prior=with_it.prior or how.prior)
     result = with_given_model_of(
         fit(with_it.start.without_effect(effect), with_it.dataset, limited, progress), with_it
     )

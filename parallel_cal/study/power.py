@@ -181,7 +181,7 @@ def power(
     own = PlantedEffect("", 0.0, 0)
     with single_threaded():
         base = fit(model_of(question.model), simulate_session(question, own)[0], question.options)
-        scene = Scene.of(base.model, base.dataset, base.observations, base.free)
+        scene = Scene.of(base.model, base.dataset, base.observations, base.free, within=base.prior)
         names = list_effects_to_test(model_of(question.model), question.also)
         if unknown := [name for name in effects if name not in names]:
             raise ModelError(

@@ -305,7 +305,7 @@ class Bench:
 
 # Views kept in memory for undo and redo. That of many samples takes 20 MB, and 0.05 s to parse.
 MAX_LOADED_VIEWS = 6
-VIEW_VERSION = 20  # of the stored views; a view of another version is computed again
+VIEW_VERSION = 21  # of the stored views; a view of another version is computed again
 
 
 def view_path(session: History, state: int | None = None) -> Path:
@@ -461,7 +461,7 @@ def _make_report(folder: Path, as_pdf: bool, tell: Callable[..., None]) -> Done:
         session.model,
         session.dataset,
         certificate=fields,
-        options=session.options,
+        options=session.options_for(session.dataset),
         progress=tell,
     )
     file = report_path(session, as_pdf)

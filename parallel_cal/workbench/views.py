@@ -12,7 +12,7 @@ import numpy as np
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import Comparison, compare
-from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose_fitted
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283
@@ -46,7 +46,7 @@ from parallel_cal.reporting.readable import (
     write_micro,
 )
 from parallel_cal.reporting.recorded import describe_measurement
-from parallel_cal.reporting.report import Report, report
+from parallel_cal.reporting.report import Report, report, report_of
 from parallel_cal.reporting.summary import describe_left, describe_missing
 from parallel_cal.session.history import State
 from parallel_cal.session.session import Session
@@ -83,26 +83,27 @@ FIT_TILES = ("before this step", "now", "noise floor")
 
 
 def fit_some_samples(session: Session) -> Iterator[View]:
-    """Make preliminary views of a fit from a part of many samples: its numbers, then its verdict
-    with all pictures; none if there are few. The fit of all samples takes minutes."""
+    """Make preliminary views of a fit from a part of many samples: its numbers, its verdict, then
+    all pictures; none if there are few. The fit of all samples takes minutes."""
     if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
         return
-    how = session.options
+    how = session.options_for(some)
     step = fitted(session.model, some, True, options=how)
     result, part = step.result, _describe_part(len(some), session)
     known = (step.errors_to_beat, result.held_out.summary, result.noise_floor)
     errors, sigmas = dict(zip(FIT_TILES, known, strict=True)), result.rms_sigmas(result.held_out)
     words = f"preliminary fit of {part}; fitting all samples"
     yield NUMBERS_ONLY | _make_numbers(words, errors, sigmas)
-    made = _make_report_view(report(result.model, some, options=how, hold_out=how.hold_out))
-    yield _mark_preliminary(made, part)
+    found = diagnose_fitted(session.model, some, result)
+    yield _mark_preliminary(_make_answers_view(found), part)
+    yield _mark_preliminary(_make_report_view(report_of(found, vars(how))), part)
 
 
 def view_some_samples(session: Session) -> View | None:
     """Make the view of the present state from a part of many samples; None if there are few."""
     if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
         return None
-    how = session.options
+    how = session.options_for(some)
     if session.state.errors:
         made = _make_report_view(report(session.model, some, options=how, hold_out=how.hold_out))
     else:
@@ -172,8 +173,9 @@ def view(session: Session, progress: Progress) -> View:
         return _make_comparison_view(
             compare(session.model, session.dataset, session.options.joint_sigma)
         )
-    how, part = session.options, session.dataset_of_some(MAX_DIAGNOSED_SAMPLES)
+    part = session.dataset_of_some(MAX_DIAGNOSED_SAMPLES)
     data = session.dataset if part is None else part
+    how = session.options_for(data)
     found = report(session.model, data, progress=progress, options=how, hold_out=how.hold_out)
     verdict, made = found.diagnosis.verdict, _make_report_view(found)
     remark = "" if part is None else f" (diagnosis of {_describe_part(len(part), session)})"
@@ -294,28 +296,50 @@ def _compared_words(found: Comparison) -> str:
     return "The model is compared with the measurements. It is not fitted yet: press Fit."
 
 
+def _make_answers_view(found: Diagnosis) -> View:
+    """Make what a diagnosis says in numbers and sentences, before any picture or table of it."""
+    now, errors = found.base.fitted, contents.HeldOutErrors.of(found)
+    units = dict(zip(found.model.joints, found.model.mechanism.joint_units, strict=True))
+    erring = find_erring_parts(found.effects, contents.parameters(found.best.fitted))
+    offered, plan = found.addition or found.doubted, found.measure_next.plan
+    testing_dof = found.noise.count_testing_dof(found.best.fitted.estimate.dof)
+    return NUMBERS_ONLY | {
+        "verdict": _verdict(found),
+        "answers": _answers(found, erring),
+        "tiles": to_json_value([*tables.error_tiles(errors, found.effects, units)]),
+        "counts": _counts(errors),
+        "chi2": _chi2(now),
+        "warnings": [write_micro(words) for words in dict.fromkeys(now.warnings)],
+        "effects": _list_effects(found.model),
+        "ambiguous": {one.effect: one.names for one in found.ambiguous},
+        "knocked": {one.sample: one.size for one in found.knocked},
+        "offered": offered
+        and {"effects": [one.name for one in offered.effects], "text": offered.text},
+        "with_effects": vars(errors.found) if errors.found else None,
+        "separation": plan.csv(found.model) if plan else None,
+        "deciding_poses": len(plan.poses) if plan else 0,
+        "needs_poses": testing_dof < MIN_DOF,
+        "find_law": found.leaves_an_error,
+        "advice": [
+            words for words in found.measure_next.advice if plan is None or words not in plan.how
+        ],
+    }
+
+
 def _make_report_view(found: Report) -> View:
+    """Make the view of a diagnosis with all its pictures and tables."""
     diagnosis, units = found.diagnosis, found.provenance.joint_units
     now = diagnosis.base.fitted  # the model of this state; the effects found are only proposed
     identified = contents.parameters(now)
     tested = [entry for entry in diagnosis.entries if entry.candidate.testable]
     erring = find_erring_parts(diagnosis.effects, found.parameters)
-    offered = diagnosis.addition or diagnosis.doubted
     residuals, shown = _select_shown(found.residuals, found.samples)
-    plan = diagnosis.measure_next.plan
-    testing_dof = diagnosis.noise.count_testing_dof(diagnosis.best.fitted.estimate.dof)
-    return {
+    return _make_answers_view(diagnosis) | {
         "shown": shown,
-        "verdict": _verdict(found),
-        "tiles": to_json_value([*tables.error_tiles(found.errors, diagnosis.effects, units)]),
-        "counts": _counts(found.errors),
         "budget": _budget(now.budgets[0]) if now.budgets else None,
         "iso": [*map(write_micro, images.describe_robot_error(now)), *_iso(now.iso_9283)],
-        "chi2": _chi2(now),
-        "warnings": [write_micro(words) for words in dict.fromkeys(now.warnings)],
         "measured": describe_measurement(now.model, diagnosis.dataset, now.observations),
         "machine": view_machine_of(found, residuals, erring),
-        "answers": _answers(diagnosis, erring),
         "field": view_field(residuals),
         "residuals": view_residuals(residuals, found.along),
         "pictures": [
@@ -326,29 +350,14 @@ def _make_report_view(found: Report) -> View:
             *list_pictures(residuals, diagnosis.base.scene, _find_first_pattern(diagnosis)),
         ],
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
-        "effects": _list_effects(diagnosis.model),
-        "ambiguous": {one.effect: one.names for one in diagnosis.ambiguous},
-        "knocked": {one.sample: one.size for one in diagnosis.knocked},
         "names": _names(diagnosis.dataset.names),
         "candidates": _list_candidates(diagnosis, tested),
-        "offered": offered
-        and {"effects": [one.name for one in offered.effects], "text": offered.text},
-        "with_effects": vars(found.errors.found) if found.errors.found else None,
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if not e.candidate.testable
         ],
         "parameters": as_rows(tables.parameter_table(identified)),
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
-        "separation": plan.csv(diagnosis.model) if plan else None,
-        "deciding_poses": len(plan.poses) if plan else 0,
-        "needs_poses": testing_dof < MIN_DOF,
-        "advice": [
-            words
-            for words in diagnosis.measure_next.advice
-            if plan is None or words not in plan.how
-        ],
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
-        "find_law": diagnosis.leaves_an_error,
     }
 
 
@@ -400,9 +409,9 @@ def _select_shown(
     return residuals.select(kept), words
 
 
-def _verdict(found: Report) -> View:
+def _verdict(found: Diagnosis) -> View:
     """Describe the verdict: its word, its sentences, and what else is to know."""
-    said = results.describe_verdict(found.diagnosis)
+    said = results.describe_verdict(found)
     return {
         "word": said.word,
         "label": said.label,

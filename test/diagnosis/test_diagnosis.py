@@ -19,7 +19,7 @@ import parallel_cal.identification.given_model as given_model
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.progress import ignore_progress
 from parallel_cal.diagnosis.decision import DECIDED, Undecided, plan_decision
-from parallel_cal.diagnosis.diagnose import diagnose, refit_with_equal_weights
+from parallel_cal.diagnosis.diagnose import diagnose, diagnose_fitted, refit_with_equal_weights
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
@@ -37,6 +37,23 @@ def play():
     """A diagnosis of hidden play, and the data."""
     data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))], n_poses=110)
     return diagnose(MODEL, data), data
+
+
+def test_a_diagnosis_of_a_known_fit_does_not_repeat_it_and_says_the_same(play, monkeypatch):
+    whole, data = play
+    result, fitted = fit(MODEL, data), list[str]()
+
+    def refit(model, *given, **how):
+        fitted.append("+".join(effect.name for effect in model.effects))
+        return fitting.fit_unjudged(model, *given, **how)
+
+    monkeypatch.setattr("parallel_cal.diagnosis.diagnose.fit_unjudged", refit)
+    found = diagnose_fitted(MODEL, data, result)
+    assert found.base.fitted is result
+    assert fitted
+    assert "" not in fitted
+    said, again = whole.document(), found.document()
+    assert {key for key in said if said[key] != again[key]} <= {"warnings", "dataset"}
 
 
 def entry(document, name):

@@ -37,7 +37,7 @@ def base(search):
 def test_a_sum_about_a_fit_leaves_what_the_fit_leaves(search, base):
     best = search.fit(PLAY, insist=True, judged=False)
     wrong = []
-    for scene in (base.scene, explanation._scene_about(base, best, within_tolerances=False)):
+    for scene in (base.scene, explanation._scene_about(base, best, within=None)):
         causes = Causes.of(scene, ["backlash"], kinds=())
         _, described, _ = causes.explain()
         predicted = causes._predict_chi2(described, [PLAY])
@@ -59,7 +59,7 @@ def test_what_imitates_the_curvature_of_a_large_effect_is_not_named(
     tried = search.fit_as_shown(*chosen, judged=False)
     nearer = causes.find_nearer(search, (), tried, described)
     assert nearer.names == (("backlash",) if allowed == np.inf else tried.names)
-    again = Causes.of(explanation._scene_about(base, nearer, within_tolerances=False), names)
+    again = Causes.of(explanation._scene_about(base, nearer, within=None), names)
     _, described, chosen = again.explain()
     assert [one.name for one in chosen] == ["backlash"]
     assert again.find_nearer(search, (), search.fit_as_shown(PLAY, judged=False), described) is None

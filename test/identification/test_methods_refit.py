@@ -150,7 +150,7 @@ def test_a_prior_makes_one_pose_enough(calibrated):
 
 
 def test_a_prior_that_knows_a_free_parameter_exactly_is_an_error(calibrated):
-    exact = Prior(calibrated.values, np.zeros_like(calibrated.covariance))
+    exact = Prior(calibrated.table.names, calibrated.values, np.zeros_like(calibrated.covariance))
     with pytest.raises(FitError, match="singular: fix the parameters"):
         fit(calibrated, measured(0), prior=exact)
     with pytest.raises(FitError, match="no covariance to use as a prior"):

@@ -72,7 +72,7 @@ def test_what_the_data_tell_comes_out_as_without_any_prior():
     draw = vd.dwell_samples(vr.Delta({**vr.TABLE_5_12}), seed=1, noise=quiet(1e-3))
     observations, free = observe(ALL, only("x y z", as_dataset(draw))), ~ALL.fixed
     found = estimate(ALL, observations, free, None)
-    vague = Prior(ALL.table.nominal, np.diag((100 * ALL.table.tolerance) ** 2))
+    vague = Prior(ALL.table.names, ALL.table.nominal, np.diag((100 * ALL.table.tolerance) ** 2))
     without = estimate(ALL, observations, free, vague)
     seen, apart = found.spectrum, (found.values - without.values)[free]
     scatter = 1e-3 / seen.singular_values
@@ -141,7 +141,9 @@ def update_of(n, seed, share=0.02):
         pose_cov=np.diag([tracker**2] * 3 + [1e6] * 3),
         joint_sigma=[joint] * 3,
     )
-    known = Prior(model.table.nominal, np.diag((share * model.table.tolerance) ** 2))
+    known = Prior(
+        model.table.names, model.table.nominal, np.diag((share * model.table.tolerance) ** 2)
+    )
     return estimate(model, observe(model, data), ~model.fixed, known)
 
 

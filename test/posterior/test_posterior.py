@@ -20,6 +20,7 @@ from parallel_cal.effects.backlash import Backlash
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.predictions import predict_configurations
+from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import new_model
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block, Stack
 from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, UNKNOWN, Choice, Evidence
@@ -79,26 +80,51 @@ def test_the_evidence_is_the_density_of_a_multivariate_t_distribution():
         assert beside[1, 0] == pytest.approx(found.log_p, rel=1e-10)
 
 
-def test_a_scene_about_the_drawing_has_the_tolerances_of_the_geometry_as_its_prior():
+def drawing():
+    """The prior of the drawing, without correlations."""
+    return Prior.of_drawing(MODEL.table)
+
+
+def calibration():
+    """A prior of some parameters, as an earlier fit knows them: away from nominal, correlated."""
+    rng = np.random.default_rng(1)
+    known = drawing()
+    size = 0.3 * np.sqrt(np.diag(known.covariance))[2:]
+    root = size[:, None] * rng.standard_normal((len(size), len(size))) / len(size) ** 0.5
+    mean = known.mean[2:] + size * rng.standard_normal(len(size))
+    return Prior(known.names[2:], mean, root @ root.T + np.diag(0.01 * size**2))
+
+
+@pytest.mark.parametrize("within", [drawing(), calibration()])
+def test_a_scene_within_a_prior_has_its_covariance(within):
     """Against the dense covariance of all rows, with the noise as stated and four times as large;
-    about another geometry, the same to first order."""
+    about another geometry, the same to first order. What the prior does not name may be anything.
+    """
     data = measured(0)
     fitted = fit(MODEL, data, hold_out=0)
     seen, free = fitted.observations, fitted.free
     at = predict_configurations(MODEL, seen)
     system = Linearisation(MODEL, seen, free, True)(MODEL.values, at)
-    r, J = system.residual.ravel(), system.columns * MODEL.table.prior_sigma[free]
+    names = [name for name, one in zip(MODEL.table.names, free, strict=True) if one]
+    size = MODEL.table.prior_sigma[free]
+    r, J = system.residual.ravel(), system.columns * size
+    covariance = np.diag(np.full(len(names), 1e6))
+    own = [i for i, name in enumerate(names) if name in within.names]
+    there = [within.names.index(names[i]) for i in own]
+    known = within.covariance[np.ix_(there, there)] / np.outer(size[own], size[own])
+    covariance[np.ix_(own, own)] = known
+    r = r + J[:, own] @ ((within.mean[there] - MODEL.values[free][own]) / size[own])
     B = np.random.default_rng(0).standard_normal((len(r), 3))
-    scene = Scene.of(MODEL, data, seen, free, within_tolerances=True)
+    scene = Scene.of(MODEL, data, seen, free, within=within)
     for variance in (1.0, 4.0):
-        weight = np.linalg.inv(np.eye(len(r)) + J @ J.T / variance)
-        own = scene.in_units_of(variance)
-        C = own.project_off_geometry(B)
-        assert own.residual @ own.residual == pytest.approx(r @ weight @ r / variance, rel=1e-6)
-        np.testing.assert_allclose(C.T @ C, B.T @ weight @ B, rtol=1e-6, atol=1e-6)
+        weight = np.linalg.inv(np.eye(len(r)) + J @ covariance @ J.T / variance)
+        there = scene.in_units_of(variance)
+        C = there.project_off_geometry(B)
+        assert there.residual @ there.residual == pytest.approx(r @ weight @ r / variance, rel=1e-4)
+        np.testing.assert_allclose(C.T @ C, B.T @ weight @ B, rtol=1e-4, atol=1e-4)
         onto = B.T @ weight @ r / variance**0.5
-        np.testing.assert_allclose(C.T @ own.residual, onto, rtol=1e-4, atol=1e-4)
-    near = Scene.of(fitted.model, data, seen, free, within_tolerances=True)
+        np.testing.assert_allclose(C.T @ there.residual, onto, rtol=1e-3, atol=1e-3)
+    near = Scene.of(fitted.model, data, seen, free, within=within)
     squares = [float(one.residual @ one.residual) for one in (near, scene)]
     assert squares[0] == pytest.approx(squares[1], rel=0.05)
 

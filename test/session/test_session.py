@@ -504,7 +504,7 @@ def test_a_step_that_was_refused_and_forced_is_named_before_its_model_is_saved(s
     forced = session.state.model_copy(update={"against": "the error at held-out poses rises"})
     for state, refused in ((session.state, False), (forced, True)):
         found = compare_with_model_in_use(
-            session.model, state, read_samples, session.options, tmp_path / "robot.yaml"
+            session.model, state, read_samples, tmp_path / "robot.yaml"
         )
         assert ("the error at held-out poses rises" in found.objections) == refused
         assert "the errors of this model are not known: no samples are here" in found.objections
