@@ -1,5 +1,6 @@
 """What readings may have meant, and when no such meaning is named."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,13 @@ from datasets import measured
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.diagnosis import fitting
+from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.fitting import fit
 from parallel_cal.identification.column_doubts import doubt_columns
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import observe
+from parallel_cal.identification.outliers import describe_far_values
 from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Noise, new_model
@@ -116,3 +120,50 @@ def test_joints_and_positions_in_m_disagree_with_orientations(session):
     data = Dataset.from_arrays(stewart.joints, 1e-3 * q, 1e-3 * r, R)
     with pytest.raises(FitError, match="joints and positions are in m, not mm"):
         GivenModel.of(stewart, data)
+
+
+def unseen(*blind, z=-9.999):
+    """Samples of the linear Delta in which the device wrote -9999 mm for the z that it did not
+    see."""
+    data = linear_delta()
+    r = data.r.copy()
+    r[list(blind), 2] = z
+    return replace(data, r=r, joint_units=("m", "m", "m"))
+
+
+def test_the_value_of_a_device_that_saw_nothing_is_named_by_fit():
+    """It spoke of exchanged columns where the fit failed, or left the motion unexplained."""
+    value = r"z -9999 mm, others [\d.]+ to [\d.]+ mm"
+    with pytest.raises(FitError, match=rf"1 sample has values .* {value}\).* exclude=7\. As"):
+        fit(LINEAR, unseen(7))
+
+
+def test_motion_that_is_not_explained_beside_an_outlier_is_put_down_to_it(monkeypatch):
+    monkeypatch.setattr(fitting, "describe_unexplained_motion", lambda result: "it misses")
+    words = (
+        r"^sample 7 \(.*; z -999 mm, others .*\) contradicts .* exclude=7\. With all .*, it misses$"
+    )
+    with pytest.raises(FitError, match=words):
+        fit(LINEAR, unseen(7, z=-0.999), hold_out=0)
+
+
+def test_the_value_of_a_device_that_saw_nothing_is_named_by_a_diagnosis():
+    value = r"z -9999 mm, others [\d.]+ to [\d.]+ mm"
+    found = diagnose(LINEAR, unseen(7), effects=["backlash"])
+    assert re.search(rf"sample 7 \(.*; {value}\)", found.verdict.text)
+    assert describe_far_values(linear_delta()) == {}
+    q = linear_delta().q
+    q[4, 1] = 1e7
+    named = describe_far_values(replace(unseen(), q=q))
+    assert list(named) == [4]
+    assert named[4].startswith("joint2 1e+10 mm, others ")
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("judge", [fit, diagnose])
+def test_a_sixth_of_the_samples_without_a_sight_of_the_target_is_named_and_no_column(judge):
+    """They are too many to be outliers of a fit."""
+    with pytest.raises(
+        FitError, match=r"7 samples have .* z -9999 mm.* exclude=2,7,12,19,24,32,38\. As"
+    ):
+        judge(LINEAR, unseen(2, 7, 12, 19, 24, 32, 38))
