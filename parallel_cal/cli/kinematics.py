@@ -95,9 +95,13 @@ def direct(
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
         answer = direct_table(robot, table, conditions, solver, covariance)
-        _warn_outside_region(answer.found, robot, answer.conditions)
-        console.warn(filter(None, [answers.describe_disagreement(answer.found, answer.explained)]))
-        return _output_table(answer, output, as_json)
+        _output_table(answer, output, as_json)
+        return console.warn(
+            [
+                *_list_region_warnings(answer.found, robot, answer.conditions),
+                *filter(None, [answers.describe_disagreement(answer.found, answer.explained)]),
+            ]
+        )
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
             f"--joints: {len(q)} values given, {robot.mechanism.name} has {len(robot.joints)} "
@@ -106,8 +110,13 @@ def direct(
     found = solving.direct(robot, np.array(q), conditions, every, solver)
     known = answers.direct_covariances(robot, found, conditions) if covariance else None
     explained = answers.explained_residuals(robot, found, conditions)
-    console.warn(filter(None, [answers.describe_disagreement(found, explained)]))
-    _print_solutions(found, robot, conditions, known, _pose_sigma, as_json, explained)
+    _print_solutions(found, robot, known, _pose_sigma, as_json, explained)
+    console.warn(
+        [
+            *_list_region_warnings(found, robot, conditions),
+            *filter(None, [answers.describe_disagreement(found, explained)]),
+        ]
+    )
 
 
 def inverse(
@@ -136,20 +145,33 @@ def inverse(
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
         answer = inverse_table(robot, table, conditions, solver, covariance)
-        _warn_outside_region(answer.found, robot, answer.conditions)
-        if answer.differences is not None:
-            console.warn(answer.differences.describe(robot.mechanism))
-        return _output_table(answer, output, as_json)
+        _output_table(answer, output, as_json)
+        missed = answer.differences and answer.differences.describe(robot.mechanism)
+        return console.warn(
+            [*_list_region_warnings(answer.found, robot, answer.conditions), *(missed or ())]
+        )
     r = np.array(robot.mechanism.home.position if place is None else place)
     R = None if quaternion is None else answers.parse_rotation(quaternion)
     found = solving.inverse(robot, r, R, conditions, every, solver)
     given = None if place is None else r, R
     home_branch = answers.Differences.of(found[:1], *given)
-    console.warn(home_branch.describe(robot.mechanism))
     known = answers.inverse_covariances(robot, found, conditions) if covariance else None
     words = partial(_joint_sigma, robot)
     apart = answers.Differences.of(found, *given)
-    _print_solutions(found, robot, conditions, known, words, as_json, differences=apart)
+    _print_solutions(found, robot, known, words, as_json, differences=apart)
+    turned = {coordinate >= 3 for coordinate in robot.mechanism.controlled}
+    options = (("--position", place, False), ("--orientation", quaternion, True))
+    console.warn(
+        [
+            *home_branch.describe(robot.mechanism),
+            *(
+                f"no {option} was given, so that of home was taken"
+                for option, value, kind in options
+                if value is None and kind in turned
+            ),
+            *_list_region_warnings(found, robot, conditions),
+        ]
+    )
 
 
 def _numbers(text: str | None, option: str, n: int | None = None) -> list[float] | None:
@@ -188,22 +210,24 @@ def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model,
     return model, conditions
 
 
-def _warn_outside_region(solutions: Solutions, model: Model, conditions: Mapping[str, Any]) -> None:
-    """Warn about poses outside the region in which the model was identified, and about conditions
-    beyond those in which its laws were tested."""
+def _list_region_warnings(
+    solutions: Solutions, model: Model, conditions: Mapping[str, Any]
+) -> list[str]:
+    """List poses outside the region in which the model was identified, and conditions beyond those
+    in which its laws were tested."""
     from parallel_cal.model.region import IdentifiedRegion, describe_untested_conditions
 
     rows = model.condition_rows(conditions, len(solutions.status))
-    console.warn(filter(None, [describe_untested_conditions(model, rows)]))
+    words = [describe_untested_conditions(model, rows)]
     if region := IdentifiedRegion.of_model(model):
         excess = region.compute_excess(solutions.joints, solutions.position)
-        console.warn(filter(None, [region.describe_excess(excess, "solutions")]))
+        words.append(region.describe_excess(excess, "solutions"))
+    return [*filter(None, words)]
 
 
 def _print_solutions(
     solutions: Solutions,
     model: Model,
-    conditions: Mapping[str, Any],
     covariances: np.ndarray | None,
     words: Callable[[np.ndarray], str],
     as_json: bool,
@@ -212,7 +236,6 @@ def _print_solutions(
 ) -> None:
     from parallel_cal.kinematics.answers import to_rows
 
-    _warn_outside_region(solutions, model, conditions)
     rows = to_rows(solutions, covariances, explained, differences)
     if as_json:
         about = {key: getattr(solutions, key) for key in ("count_complex", "complete")}

@@ -22,6 +22,7 @@ from parallel_cal.identification.estimate import NoSolutionError
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.outliers import describe_far_values
 from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -36,6 +37,7 @@ def naming_wrong_columns(model: Model, dataset: Dataset, options: FitOptions) ->
         yield
     except (ImplausibleGeometryError, NoSolutionError, UnexplainedMotionError) as error:
         _check_columns(model, dataset, options, str(error))
+        check_far_values(dataset, str(error))
         raise
 
 
@@ -52,12 +54,28 @@ def check_samples(model: Model, dataset: Dataset, options: FitOptions, against: 
     stands, so that no effect is the cause."""
     there = _check_columns(model, dataset, options, against)
     if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
+        check_far_values(dataset, against)
         raise FitError(
             f"{against}. Wherever the device stands, {100 * share:.0f} % of the measured motion "
             "is not explained, so no effect was tried. Check the mechanism, and the units, "
             "columns, signs and zeros of the joints and poses: two of them may be wrong, or "
             "the rows of joints and poses do not belong together"
         )
+
+
+def check_far_values(dataset: Dataset, against: str) -> None:
+    """Raise FitError if values of some samples are far outside those of most, which explains what
+    is said `against` a fit."""
+    if not (far := describe_far_values(dataset)):
+        return
+    first, values = next(iter(far.items()))
+    verb = "samples have" if len(far) > 1 else "sample has"
+    raise FitError(
+        f"{dataset.source or 'samples'}: {len(far)} {verb} values far outside those of most "
+        f"others, as a device writes that saw nothing (sample {first}: {values}). Correct these "
+        f"samples, or exclude them: --data exclude={','.join(map(str, far))}. As they are, "
+        f"{against}"
+    ) from None
 
 
 def _check_columns(
@@ -76,5 +94,6 @@ def _check_columns(
                 most = seen.compute_median_error(seen.now)
         words = doubt_columns(model, observations, there, dataset.source, True, most)
     if words:
+        check_far_values(dataset, against)
         raise FitError(f"{words}. As they are, {against}") from None
     return there

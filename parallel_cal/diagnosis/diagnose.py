@@ -23,7 +23,7 @@ from parallel_cal.diagnosis.ambiguity import (
     find_ambiguous_effects,
 )
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
-from parallel_cal.diagnosis.columns import check_samples, naming_wrong_columns
+from parallel_cal.diagnosis.columns import check_far_values, check_samples, naming_wrong_columns
 from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition, format_additions
 from parallel_cal.diagnosis.entries import (
     Entry,
@@ -72,7 +72,7 @@ from parallel_cal.identification.fit import (
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.outliers import search_outliers
+from parallel_cal.identification.outliers import describe_far_values, search_outliers
 from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
@@ -502,15 +502,22 @@ class _Setup:
         if seen is None:
             return found
         best = found.best.fitted.model
-        return _with_samples_aside(found, list_samples_far_from(best, self.dataset, seen, aside))
+        far = list_samples_far_from(best, self.dataset, seen, aside)
+        return _with_samples_aside(found, far, self.dataset)
 
     def _find_contradicting(self, base: Trial) -> tuple[list[int], Observations] | None:
         """Return the samples that an implausible geometry may follow because they contradict all
         others, and how all were seen; None if there are none, or more than a few. FitError if the
-        columns or the motion of the samples are the cause."""
-        if base.result is None or not base.result.implausible:
-            return None
+        columns or the motion of the samples are the cause. Where no fit succeeds, samples are
+        known only by values far outside those of all others."""
         model, dataset, options = self.model, self.dataset, self.any_size
+        if base.result is None:
+            if not are_few(far := [*describe_far_values(dataset)], dataset):
+                check_far_values(dataset, base.reason)
+            seen = self.given.observe(model, dataset, options.joint_sigma, options.insist)
+            return (far, seen) if far else None
+        if not base.result.implausible:
+            return None
         observations = self.given.observe(model, dataset, options.joint_sigma, options.insist)
         outliers = search_outliers(model, dataset, observations, options)
         numbers = list(outliers.numbers) if outliers else []
@@ -530,9 +537,11 @@ def find_mistrusted_samples(robust: FitResult) -> list[int]:
     return sorted(one.sample for one in worst)
 
 
-def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagnosis:
-    """Name the samples in a diagnosis that was made without them."""
-    remarks = (*others.verdict.remarks, describe_knocked_samples(aside))
+def _with_samples_aside(
+    others: Diagnosis, aside: Sequence[OddSample], dataset: Dataset
+) -> Diagnosis:
+    """Name the samples of a dataset in a diagnosis that was made without them."""
+    remarks = (*others.verdict.remarks, describe_knocked_samples(aside, dataset))
     numbers = {one.sample for one in aside}
     odd = [one for one in others.odd_samples if one.sample not in numbers]
     return replace(

@@ -123,8 +123,11 @@ def fit(
     with naming_wrong_columns(model, dataset, options):
         result = identification.fit(model, dataset, options, progress, effects=effects)
         against = describe_unexplained_motion(result)
-        if against and not options.insist:
+        odd = result.outliers
+        if against and not odd and not options.insist:
             raise UnexplainedMotionError(f"{against}. {WAYS_ON}")
+    if against and odd and not options.insist:  # they explain it, whatever other columns would
+        raise UnexplainedMotionError(f"{odd.description}. With all samples, {against}")
     check_fitted(result, model, dataset, options)
     if not against:
         return result

@@ -24,6 +24,7 @@ from parallel_cal.diagnosis.thresholds import (
     WINDOW,
 )
 from parallel_cal.identification.observations import Observations, conditions
+from parallel_cal.identification.outliers import describe_far_values
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import join_words
 from parallel_cal.posterior.scene import Scene
@@ -223,11 +224,15 @@ def find_innocent_samples(far: Iterable[OddSample], numbers: Iterable[int]) -> f
     return frozenset(numbers) - guilty
 
 
-def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
-    """Name the samples that a verdict leaves out, to be put behind it."""
+def describe_knocked_samples(knocked: Sequence[OddSample], dataset: Dataset) -> str:
+    """Name the samples of a dataset that a verdict leaves out, to be put behind it."""
+
+    far = {number: f"; {values}" for number, values in describe_far_values(dataset).items()}
 
     def names(samples: Sequence[OddSample]) -> str:
-        return join_words(f"sample {one.title} ({one.size})" for one in samples)
+        return join_words(
+            f"sample {one.title} ({one.size}{far.get(one.sample, '')})" for one in samples
+        )
 
     sentences = []
     if sideless := [one for one in knocked if one.sideless]:

@@ -26,12 +26,14 @@ from parallel_cal.identification.thresholds import (
     MAX_GUESS_SHARE,
     MAX_GUESSES_OF_A_KIND,
     MAX_GUESSES_REFINED,
+    MAX_USED_SHARE,
     MIN_FRAME_POSES,
     MIN_GUESS_ERROR_RATIO,
     MIN_QUICK_SHARE,
     MIN_REACHED_SHARE,
     MIN_SCALE_SAMPLES,
     MIN_UNREGISTERED_ERROR_RATIO,
+    MOST_READINGS,
     SAME_GUESS_ERROR_RATIO,
 )
 from parallel_cal.model.model import Model
@@ -95,6 +97,8 @@ def doubt_columns(
     median error below `most` (m).
     """
     n = len(model.joints)
+    if words := _doubt_size(model, observations, source):
+        return words
     if there is None:  # the robot cannot be there
         shown = observations.measured[:, n : n + 6].any(axis=1)
         far_off = bool(np.sum(shown) >= MIN_SCALE_SAMPLES)
@@ -103,8 +107,7 @@ def doubt_columns(
         far_off = bool((sizes > MIN_UNREGISTERED_ERROR_RATIO * there.expected).any())
     if not (far_off or suspected):
         return ""
-    some = np.unique(np.linspace(0, len(observations) - 1, MAX_GUESS_SAMPLES).astype(int))
-    few = observations.select(some)
+    few = observations.select(_choose_some(observations))
     fitting, before = _find_fitting_guesses(model, few)
     if not fitting:
         return ""
@@ -140,6 +143,49 @@ def doubt_columns(
     )
 
 
+def _doubt_size(model: Model, observations: Observations, source: str) -> str:
+    """Explain that joint readings and positions are a thousand times too small; empty if they are
+    not.
+
+    Wrong by the same factor, they do not contradict each other. But they span less than a
+    thousandth of their ranges, and a thousand times as large they are poses of the robot.
+    """
+    mechanism, n = model.mechanism, len(model.joints)
+    own = [i for i in mechanism.controlled if i < 3]
+    shown = observations.measured[:, [n + i for i in own]].all(axis=1)
+    sliding = [i for i, unit in enumerate(mechanism.joint_units) if unit == "m"]
+    low, high = np.array(mechanism.joint_limits, float)[sliding].T
+    if not own or np.sum(shown) < MIN_SCALE_SAMPLES or not np.isfinite(high - low).any():
+        return ""
+    box = mechanism.workspace
+    sides = np.subtract(box.high, box.low)[: len(own)]  # positions come before turns
+    tail = (1 - MOST_READINGS) / 2
+    read = observations.x[shown][:, [*sliding, *(n + i for i in own)]]
+    first, middle, last = np.quantile(read, [tail, 0.5, 1 - tail], axis=0)
+    used = float(np.max((last - first) / np.maximum(np.append(high - low, sides), 1e-12)))
+    meant_readings, margin = middle[: len(sliding)] / MM, (high - low) / 2
+    outside = (meant_readings < low - margin) | (meant_readings > high + margin)
+    if used > MM * MAX_USED_SHARE or outside.any():
+        return ""
+    [guess] = _guess_lengths(model)
+    meant = _read_joints(model, observations.select(_choose_some(observations)), guess.joints)
+    if meant is None or guess.poses is None:
+        return ""
+    if guess.poses(meant, None).find_unexplained_share() >= MAX_GUESS_SHARE:
+        return ""
+    return (
+        f"{source or 'samples'}: joints and positions span at most {100 * used:.2g} % of their "
+        f"ranges in the model file. They are poses of the robot if {guess.words}. Correct this "
+        "where the samples are recorded or imported, or use --force (in Python: insist) if the "
+        "robot moved so little"
+    )
+
+
+def _choose_some(observations: Observations) -> Array:
+    """Return the indices of samples by which guesses are judged."""
+    return np.unique(np.linspace(0, len(observations) - 1, MAX_GUESS_SAMPLES).astype(int))
+
+
 def _find_fitting_guesses(
     model: Model, few: Observations
 ) -> tuple[list[tuple[Guess, DevicePoses]], float]:
@@ -155,7 +201,11 @@ def _find_fitting_guesses(
         F = replace(given, measured=given.measured & PLACE).frames.F
     guesses = [
         (guess, poses if guess.poses is None else guess.poses(poses, F))
-        for guess in (*_guess_joints(model), *_guess_poses(model, placed, turned))
+        for guess in (
+            *_guess_joints(model),
+            *_guess_poses(model, placed, turned),
+            *(_guess_lengths(model) if placed else ()),
+        )
         if (poses := given if guess.joints is None else _read_joints(model, few, guess.joints))
     ]
     guesses.sort(key=lambda one: one[1].compute_closed_form_error())
@@ -219,9 +269,6 @@ def _guess_poses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
         turn = mirror @ there.seen_R @ mirror if turns else there.seen_R
         return replace(there, seen_r=there.seen_r @ mirror, seen_R=turn)
 
-    def scale_positions(factor: float, there: DevicePoses, F: Array | None) -> DevicePoses:
-        return replace(there, seen_r=factor * there.seen_r)
-
     def read_orientations(
         convention: Convention, there: DevicePoses, F: Array | None
     ) -> DevicePoses:
@@ -236,7 +283,7 @@ def _guess_poses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
     if placed:
         for factor, unit in LENGTHS.items():
             words = f"the positions are in {unit} (column map: unit)"
-            yield Guess(words, poses=partial(scale_positions, factor))
+            yield Guess(words, poses=partial(_scale_positions, factor))
         words = "the frame of the device is left-handed (two of its axes are exchanged)"
         yield Guess(words, poses=partial(mirror_poses, np.diag([1.0, 1.0, -1.0]), True))
         for exchanged, mirror in MIRRORS.items() if turned else ():
@@ -248,6 +295,25 @@ def _guess_poses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
         if placed:
             words = "the poses are inverse, those of {B} seen by {P} (invert them: position -R^T r,"
             yield Guess(f"{words} rotation R^T)", poses=invert_poses)
+
+
+def _scale_positions(factor: float, there: DevicePoses, F: Array | None) -> DevicePoses:
+    return replace(there, seen_r=factor * there.seen_r)
+
+
+def _guess_lengths(model: Model) -> Iterator[Guess]:
+    """Yield that the lengths of joints and positions alike are too small, if joints are lengths.
+
+    Lengths that are too large are refused before (readings.py), and smaller ones have smaller
+    errors whatever they mean.
+    """
+    sliding = np.array(model.mechanism.joint_units) == "m"
+    if sliding.any():
+        yield Guess(
+            "joints and positions are in m, not mm (column map: unit)",
+            joints=partial(np.multiply, np.where(sliding, 1 / MM, 1.0)),
+            poses=partial(_scale_positions, 1 / MM),
+        )
 
 
 def _list_orders(joints: int) -> list[tuple[int, ...]]:

@@ -416,12 +416,15 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
     }
     read = [c for c in read if c not in contact_of.values() or c in channels]
     read += contact_of
-    missing = [c for s in model.sensors for c in _list_missing_channels(s, read)]
+    lacking = {s.name: few for s in model.sensors if (few := _list_missing_channels(s, read))}
+    missing = [channel for few in lacking.values() for channel in few]
     if missing:
+        posed = ": the measured poses need no sensor" if dataset.measured.any() else ""
         raise FitError(
             f"{dataset.source}: no measurement with {', '.join(missing)}, which the model's "
             f"sensors expect (recorded: {', '.join(list_channel_groups(read)) or 'no reading'}); "
-            "measure it, or remove the sensor from the model"
+            f"measure it, or remove {', '.join(lacking)} from the list `sensors` in the model "
+            f"file{posed}"
         )
     if strange := [c for c in read if c not in channels]:
         expected = ", ".join(  # those of an image by their range

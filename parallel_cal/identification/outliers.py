@@ -9,6 +9,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.sample_names import format_sample
+from parallel_cal.base.units import LARGE_UNITS
 from parallel_cal.identification.checks import chosen_parameters
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.linearisation import Linearisation, System, rms_by_sample
@@ -76,19 +77,21 @@ class Outliers:
     """Samples that contradict all others.
 
     `sizes` are their rms residuals from a fit to the others, in units of the rms residual there;
-    `chi2_per_dof` is that of a fit to all samples, and of the fit to the others.
+    `values` are those that `describe_far_values` names. `chi2_per_dof` is that of a fit to all
+    samples, and of the fit to the others.
     """
 
     numbers: tuple[int, ...]
     titles: tuple[str, ...]
     sizes: tuple[float, ...]
+    values: tuple[str, ...]
     chi2_per_dof: tuple[float, float]
 
     @property
     def description(self) -> str:
         named = join_words(
-            f"sample {title} ({size:.0f} times the usual residual)"
-            for title, size in zip(self.titles, self.sizes, strict=True)
+            f"sample {title} ({size:.0f} times the usual residual{value and '; '}{value})"
+            for title, size, value in zip(self.titles, self.sizes, self.values, strict=True)
         )
         them, verb = ("it", "contradicts") if len(self.numbers) == 1 else ("them", "contradict")
         every, others = (f"{chi2:.3g}" for chi2 in self.chi2_per_dof)
@@ -97,6 +100,32 @@ class Outliers:
             f"{every}. Check {them}, or exclude {them}: --data "
             f"exclude={','.join(map(str, self.numbers))}"
         )
+
+
+def describe_far_values(dataset: Dataset) -> dict[int, str]:
+    """Describe the measured values that lie far outside those of most samples, such as the -9999 of
+    a device that saw nothing: `z -9999 mm, others 20.1 to 179 mm`, by the number of the sample.
+
+    Their distance from the quartiles is at least MIN_OUTLIER_RATIO times that between them.
+    """
+    units = dataset.joint_units or ("",) * len(dataset.joint_names)
+    columns = [*zip(dataset.joint_names, units, dataset.q.T, strict=True)]
+    for axis, values, known in zip("xyz", dataset.r.T, dataset.measured.T[:3], strict=True):
+        columns.append((axis, "m", np.where(known, values, np.nan)))
+    found = dict[int, list[str]]()
+    for name, unit, values in columns:
+        known = np.isfinite(values)
+        low, high = np.quantile(values[known], [0.25, 0.75]) if known.any() else (0.0, 0.0)
+        far = np.maximum(low - values, values - high) > MIN_OUTLIER_RATIO * (high - low)
+        if not far.any() or low == high:
+            continue
+        shown, factor = LARGE_UNITS.get(unit, (unit, 1.0))
+        usual = factor * values[known & ~far]
+        others = f"others {usual.min():.6g} to {usual.max():.6g} {shown}".rstrip()
+        for i in np.flatnonzero(far).tolist():
+            own = f"{name} {factor * values[i]:.6g} {shown}".rstrip()
+            found.setdefault(int(dataset.numbers[i]), []).append(f"{own}, {others}")
+    return {number: "; ".join(words) for number, words in found.items()}
 
 
 def _find_in(system: System) -> np.ndarray:
@@ -162,8 +191,10 @@ def search_outliers(
         numbers = [int(dataset.numbers[i]) for i in found.samples] if found else []
         if found and not are_separated(dataset, numbers):
             titles = tuple(format_sample(one, dataset.names.get(one, "")) for one in numbers)
+            far = describe_far_values(dataset)
+            values = tuple(far.get(one, "") for one in numbers)
             both = every.chi2_per_dof, found.chi2_per_dof
-            return Outliers(tuple(numbers), titles, found.sizes, both)
+            return Outliers(tuple(numbers), titles, found.sizes, values, both)
     return None
 
 

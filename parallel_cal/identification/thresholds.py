@@ -104,6 +104,8 @@ MAX_GUESSES_OF_A_KIND = 64
 MAX_GUESSES_REFINED = 8  # of which the frames of the device are found exactly
 MIN_REACHED_SHARE = 0.9  # of the poses, which the robot must reach ... [0, 1: delta_tilting]
 MIN_QUICK_SHARE = 0.3  # ... and which are found quickly where joints contradict each other
+# of the ranges of joints and positions, which no session exceeds by much
+MAX_USED_SHARE = 1.5
 MAX_GUESS_SHARE = 0.25  # of the measured motion (rms) that the right readings leave unexplained
 MIN_GUESS_ERROR_RATIO = 5.0  # of the errors with the given and with other readings [0, 0]
 SAME_GUESS_ERROR_RATIO = 1.5  # of the errors of two guesses between which the poses do not decide

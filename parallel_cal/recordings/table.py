@@ -49,6 +49,7 @@ from parallel_cal.recordings.vicon import (
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 MAX_NAMED = 5  # places of a fault in one message
+DECIMAL_COMMA = ". A decimal comma needs a semicolon or a tab between the cells"
 MAX_TABLE_BYTES = 512 * MEGABYTE
 EXPORTED = (
     FIRST_CELL,
@@ -105,11 +106,31 @@ class Table:
                 if others
                 else ""
             )
+            right = sorted({*kept} - {*wrong})
+            hint = DECIMAL_COMMA * (
+                self.decimal != "," and any(len(self.rows[k]) > len(self.header) for k in wrong)
+            )
             raise DatasetError(
                 f"{self.path}:{first}: {len(self.rows[wrong[0]])} cells, but the header "
-                f"has {len(self.header)}{also}"
+                f"has {len(self.header)}{also}{self._name_odd_cells(right)}{hint}"
             )
         return self.select(kept)
+
+    def _name_odd_cells(self, rows: Sequence[int]) -> str:
+        """Name the cells of these rows that are no numbers, in columns of which most are; empty if
+        there are none."""
+        odd = list[tuple[int, str]]()
+        for column, name in enumerate(self.header):
+            texts = {k: self.rows[k][column].strip() for k in rows}
+            bad = [k for k, text in texts.items() if text and not math.isfinite(self._number(text))]
+            if 2 * len(bad) < len(rows):
+                odd += [
+                    (self.lines[k], f"line {self.lines[k]} column {name} ({texts[k]!r:.60})")
+                    for k in bad
+                ]
+        if not odd:
+            return ""
+        return f". Cells of other lines are no numbers: {_join_first([w for _, w in sorted(odd)])}"
 
     def texts(self, name: str) -> list[str]:
         """Return a column's cells; empty in rows whose length differs from the header's.
@@ -159,7 +180,7 @@ class Table:
             if (text or not gaps) and not math.isfinite(self._number(text))
         )
         commas = self.decimal != "," and any("," in t for _, _, t in [("", "", text), *others])
-        hint = ". A decimal comma needs a semicolon or a tab between the cells" * commas
+        hint = DECIMAL_COMMA * commas
         what = f"{self.path}:{line}: column {name} contains {text!r:.60}, expected a finite number"
         if not others:
             return DatasetError(f"{what}: enter one or remove the line{hint}")

@@ -13,6 +13,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.units import ARCMIN
 from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.prediction_errors import ERRORS
 from parallel_cal.model.region import describe_workspace_excess
 from parallel_cal.reporting.blocks import (
@@ -122,10 +123,13 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
     if result.held_out.summary.is_known:
         errors = describe_result_errors(result.held_out.summary, rival.summary, result.noise_floor)
         yield f"error at held-out poses {errors}"
+    least, _ = chi2_band(estimate.dof)
+    small = estimate.chi2_per_dof < least and not result.observations.noise_assumed
+    cause = "the noise is taken too large, or lengths were read in too small a unit"
     yield (
         f"{result.samples} samples, {estimate.spectrum.rank} of {result.free.sum()} free "
         f"parameters identified, chi2/dof {format_fixed(estimate.chi2_per_dof)}"
-    )
+    ) + small * f", below {format_fixed(least)}: {cause}"
     yield errors_table(judged, result.noise_floor, result.model)
     yield from describe_images(result)
     for budget in result.budgets[:1]:

@@ -373,6 +373,22 @@ def test_an_orientation_that_the_robot_has_is_no_reason_for_a_warning(run, docum
     assert found["position_difference"] < 1e-12
 
 
+def test_what_is_assumed_for_a_pose_that_was_given_in_part_is_said(run, tmp_path):
+    """An ankle that was asked for a position alone answered with its home pose, without a word."""
+    robot = tmp_path / "ankle.yaml"
+    write_model(new_model("ankle_2rsu"), robot)
+    code, _, err = run("inverse", robot, "--position", 0.05, 0.05, 0.1)
+    assert code == 0
+    missed, assumed = err.strip().splitlines()
+    assert missed.startswith("warning: ankle_2rsu does not control its position: the solution is ")
+    assert assumed == "warning: no --orientation was given, so that of home was taken"
+    assert run("inverse", robot, "--orientation", 0.1, 0, 0, 1)[2] == ""
+    stewart = tmp_path / "stewart.yaml"
+    write_model(new_model("stewart42"), stewart)
+    err = run("inverse", stewart, "--orientation", 0, 0, 0, 1)[2]
+    assert err.strip() == "warning: no --position was given, so that of home was taken"
+
+
 def test_a_height_that_a_plane_robot_does_not_have_is_said_with_its_size(run, tmp_path):
     robot, table = tmp_path / "plane.yaml", tmp_path / "poses.csv"
     write_model(new_model("five_bar"), robot)

@@ -243,6 +243,24 @@ def test_all_lines_that_lack_a_cell_are_named_at_once(files):
         import_csv(*files(table="\n".join([lines[0], *short])))
 
 
+def test_a_decimal_comma_that_splits_cells_hides_no_other_bad_cell(files):
+    lines = [line for line in [*TABLE.splitlines(), *TABLE.splitlines()[1:]] if line]
+    first, *rest = lines[1].split(",")
+    lines[1] = ",".join([f"{first},5", *rest])
+    column = lines[0].split(",").index("T")
+    for k, text in ((2, "n/a"), (5, '"21,5"')):
+        cells = lines[k].split(",")
+        cells[column] = text
+        lines[k] = ",".join(cells)
+    with pytest.raises(ParallelCalError) as told:
+        import_csv(*files(table="\n".join(lines)))
+    assert str(told.value).endswith(
+        "t.csv:2: 13 cells, but the header has 12. Cells of other lines are no numbers: line 3 "
+        "column T ('n/a'), line 6 column T ('21,5'). A decimal comma needs a semicolon or a tab "
+        "between the cells"
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -16,6 +16,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.reporting import console
 from parallel_cal.reporting.blocks import Cell, Detail, PValue, Table, as_text, uncover
 from parallel_cal.reporting.readable import COMMAND, FOUND, columns
+from parallel_cal.reporting.results import describe_fit
 from parallel_cal.reporting.summary import describe_missing, summarize
 
 ROOT = Path(__file__).parents[2]
@@ -205,7 +206,10 @@ def test_a_noise_floor_above_the_error_is_named_as_that_of_the_stated_noise(fact
     model = pc.read_model(ROOT / "config" / "delta_mockup_identified.yaml")
     data = pc.load_dataset(ROOT / "bags" / "delta_clean", joints=model.joints)
     data = dataclasses.replace(data, pose_cov=data.pose_cov * factor**2)
-    lines = {line.label: line.text for line in summarize(pc.fit(model, data))}
+    result = pc.fit(model, data)
+    [head] = [one for one in describe_fit(result) if "chi2/dof" in str(one)]
+    assert (", below 0." in str(head) and "too small a unit" in str(head)) == named
+    lines = {line.label: line.text for line in summarize(result)}
     assert (" by the stated noise; that of the samples is smaller" in lines["noise:"]) == named
     assert lines["missing:"] == "nothing larger than the noise"
 

@@ -9,17 +9,20 @@ import pytest
 import tied_session as ts
 import virtual_setups as vs
 
-from parallel_cal.base.errors import BagError, DatasetError
+from parallel_cal.base.errors import BagError, DatasetError, FitError
 from parallel_cal.cli import main as cli
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import Summary, held_out_ratio
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.topics import choose_topics
+from parallel_cal.sensors.probe import Probe
 
 STOPS = [[0.1, 0.2, 0.3], [0.4, 0.1, 0.2], [0.2, 0.5, 0.1], [0.3, 0.3, 0.5]]
 PLANE, SPHERE = "reading.plane", "reading.sphere1"
@@ -276,6 +279,15 @@ def test_a_plane_that_was_not_recorded_is_named(robot, plate_model, run, tmp_pat
     said = run("fit", plate_model, path, "--json")
     assert "no measurement with plane, which the model's sensors expect" in said
     assert "recorded: sphere1, sphere2" in said
+    assert said.rstrip().endswith("remove plane_spheres from the list `sensors` in the model file")
+
+
+def test_a_table_of_poses_for_a_model_with_a_probe_says_that_it_needs_no_probe():
+    model = new_model("linear_delta", sensors=(Probe(height=0.0, sigma=1e-5),))
+    data = Dataset.from_arrays(model.joints, np.full((3, 3), 0.33), np.zeros((3, 3)))
+    words = "remove probe from the list `sensors` .*: the measured poses need no sensor"
+    with pytest.raises(FitError, match=words):
+        observe(model, data)
 
 
 def test_an_unknown_constraint_names_the_channels_of_the_model(plate_model, run, tmp_path):
