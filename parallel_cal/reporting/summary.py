@@ -162,6 +162,24 @@ def _state_noise(
     return Line("noise:", shown + STATED * (small and not judged.observations.noise_assumed))
 
 
+def describe_largest_joint(model: Model, effect: str) -> str:
+    """Name an effect of a model, with the joint in which it is largest and its size over the
+    joints, `backlash (largest in joint2: 0.9 to 2.1 arcmin)`; the name alone if its parameters do
+    not belong to all joints in one unit."""
+    sizes, units = dict.fromkeys(model.joints, 0.0), set[str]()
+    for p, value, fixed in zip(model.table, model.values, model.fixed, strict=True):
+        own, _, rest = p.name.partition(".")
+        joint = rest.partition(".")[0]
+        if own == effect and joint in sizes and not fixed:
+            units.add(p.unit)
+            sizes[joint] = math.hypot(sizes[joint], value)
+    if len(sizes) < 2 or units not in ({"m"}, {"rad"}):
+        return effect
+    unit, factor = error_unit(units.pop())
+    low, high = (f"{factor * size:.3g}" for size in (min(sizes.values()), max(sizes.values())))
+    return f"{effect} (largest in {max(sizes, key=sizes.__getitem__)}: {low} to {high} {unit})"
+
+
 def count_revisits(noise: NoiseFloor) -> str:
     """Return how many visits beyond the first of a pose showed a noise floor, and what their
     conditions leave of them if these differed."""
@@ -177,7 +195,8 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     yield Line("now:", write(now, base.rms_sigmas(base.held_out)) + HELD_OUT)
     if diagnosis.effects:
         errors = write(best.held_out.summary, best.rms_sigmas(best.held_out))
-        yield Line("with it:", f"{errors} with {' and '.join(diagnosis.effects)}", FOUND)
+        sized = [describe_largest_joint(best.model, name) for name in diagnosis.effects]
+        yield Line("with it:", f"{errors} with {' and '.join(sized)}", FOUND)
     yield _state_noise(write, best.simulated_noise, best, best.estimate)
     likely, imitators = _divide(diagnosis.missing)
     for cause in likely:

@@ -17,7 +17,7 @@ from parallel_cal.reporting import console
 from parallel_cal.reporting.blocks import Cell, Detail, PValue, Table, as_text, uncover
 from parallel_cal.reporting.readable import COMMAND, FOUND, columns
 from parallel_cal.reporting.results import describe_fit
-from parallel_cal.reporting.summary import describe_missing, summarize
+from parallel_cal.reporting.summary import describe_largest_joint, describe_missing, summarize
 
 ROOT = Path(__file__).parents[2]
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
@@ -212,6 +212,21 @@ def test_a_noise_floor_above_the_error_is_named_as_that_of_the_stated_noise(fact
     lines = {line.label: line.text for line in summarize(result)}
     assert (" by the stated noise; that of the samples is smaller" in lines["noise:"]) == named
     assert lines["missing:"] == "nothing larger than the noise"
+
+
+def test_the_joint_in_which_an_effect_is_largest_is_named_with_its_size():
+    model = new_model("delta54", effects=("backlash", "encoder_eccentricity"))
+    values = {"backlash.joint1.width": 3e-4, "backlash.joint2.width": -9e-4}
+    sines = {"encoder_eccentricity.joint3.sin": 3e-4, "encoder_eccentricity.joint3.cos": 4e-4}
+    known = model.table.mapping(model.values) | values | sines
+    model = model.with_values(np.array([known[name] for name in model.table.names]))
+    said = describe_largest_joint(model, "backlash")
+    assert said == "backlash (largest in joint2: 0 to 3.09 arcmin)"
+    assert "(largest in joint3: 0 to 1.72 arcmin)" in describe_largest_joint(
+        model, "encoder_eccentricity"
+    )
+    cable = new_model("delta54", effects=("thermal_expansion",))
+    assert describe_largest_joint(cable, "thermal_expansion") == "thermal_expansion"
 
 
 def test_noise_that_only_revisits_show_bounds_what_may_be_missing():
