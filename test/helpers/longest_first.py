@@ -5,12 +5,10 @@ A worker takes file after file. A long file at the end would keep one worker bus
 
 from collections import Counter
 
-# s of processor time, of tests and of the browsers that they open: of a test by its mark, and of
-# files that take longer than that.
+# s of processor time: of a test by its mark, and of files that take longer than that. Tests of pages
+# count by their number: a browser waits for the machine, and has it once the tests with nodes end.
 WIDE_S, QUICK_S = 0.8, 0.1
 LONG_FILES_S = {
-    "test_workbench.py": 200,
-    "test_page_layout.py": 160,
     "test_docs.py": 150,
     "test_campaign.py": 125,
     "test_discovery.py": 125,

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-LONG = 90.0  # s that anything may take on a busy machine
+LONG = 240.0  # s that anything may take on a busy machine
 
 
 def until(condition, what):
