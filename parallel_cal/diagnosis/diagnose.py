@@ -72,7 +72,11 @@ from parallel_cal.identification.fit import (
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.outliers import describe_far_values, search_outliers
+from parallel_cal.identification.outliers import (
+    describe_far_values,
+    may_hide_in_noise,
+    search_outliers,
+)
 from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
@@ -506,24 +510,26 @@ class _Setup:
         return _with_samples_aside(found, far, self.dataset)
 
     def _find_contradicting(self, base: Trial) -> tuple[list[int], Observations] | None:
-        """Return the samples that an implausible geometry may follow because they contradict all
-        others, and how all were seen; None if there are none, or more than a few. FitError if the
-        columns or the motion of the samples are the cause. Where no fit succeeds, samples are
-        known only by values far outside those of all others."""
+        """Return the samples that contradict all others, which an implausible geometry may follow,
+        or an estimated noise hide, and how all were seen; None if there are none, or more than a
+        few. FitError if the columns or the motion of the samples are the cause of the geometry.
+        Where no fit succeeds, samples are known only by values far outside those of all others."""
         model, dataset, options = self.model, self.dataset, self.any_size
         if base.result is None:
             if not are_few(far := [*describe_far_values(dataset)], dataset):
                 check_far_values(dataset, base.reason)
             seen = self.given.observe(model, dataset, options.joint_sigma, options.insist)
             return (far, seen) if far else None
-        if not base.result.implausible:
+        implausible = base.result.implausible
+        if not implausible and not may_hide_in_noise(base.result.observations, dataset):
             return None
         observations = self.given.observe(model, dataset, options.joint_sigma, options.insist)
         outliers = search_outliers(model, dataset, observations, options)
         numbers = list(outliers.numbers) if outliers else []
         few = numbers if are_few(numbers, dataset) else []
         others = dataset.excluding(few, f"because it is {explain_exclusion(dataset, few)}")
-        check_samples(model, others, options, base.result.implausible)
+        if implausible:
+            check_samples(model, others, options, implausible)
         return (few, observations) if few else None
 
     def _find_mistrusted(self, model: Model) -> list[int]:
@@ -637,7 +643,7 @@ def _diagnose_trusted(
         base=base,
         best=best,
         ranked=tuple(ranked),
-        entries=entries(ranked, base, search, noise, against, best, found),
+        entries=entries(ranked, base, search, noise, against, best, found, confirmed.against),
         noise=noise,
         noise_shape=shape,
         verdict=judge(findings),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -101,9 +101,11 @@ def entries(
     against: Mapping[str, str],
     best: Trial,
     explanation: Explanation,
+    unproven: Collection[str],
 ) -> tuple[Entry, ...]:
     """Make one entry for each candidate, the most probable first: evidence if it is testable, else
-    a reason.
+    a reason. Of effects that are `unproven` at held-out poses, the sum states no probability: they
+    may imitate what is not in the catalogue.
 
     Probable ones are fitted, each alone by a single step; those that `best` chose as large as the
     data show, even if that is unusual.
@@ -115,7 +117,8 @@ def entries(
             alike[one.name] += (other.name,)
             alike[other.name] += (one.name,)
 
-    probability = {c.name: explanation.probability_of(c.name) for c in ranked if c.testable}
+    shown = [one.name for one in ranked if one.testable and one.name not in unproven]
+    probability = {name: explanation.probability_of(name) for name in shown}
 
     def place(one: Candidate) -> tuple[bool, bool, float, float]:
         p = probability.get(one.name) or 0.0

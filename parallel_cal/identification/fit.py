@@ -60,7 +60,11 @@ from parallel_cal.identification.noise_floor import (
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, blocks, list_noise, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.outliers import Outliers, search_outliers
+from parallel_cal.identification.outliers import (
+    Outliers,
+    may_hide_in_noise,
+    search_outliers,
+)
 from parallel_cal.identification.prediction_errors import (
     Errors,
     Summary,
@@ -559,8 +563,11 @@ def fit(
     unjudged = fit_unjudged(start, dataset, options, progress, ready.given)
     result = replace(unjudged.judge(progress), drift=ready.drift)
     # An outlier may hide where the geometry follows it.
-    known = None if result.implausible else result.estimate
-    outliers = search_outliers(start, dataset, result.observations, options, known)
+    seen, known = result.observations, None if result.implausible else result.estimate
+    if may_hide_in_noise(seen, dataset):
+        known = None
+        seen = ready.given.observe(start, dataset, options.joint_sigma, options.insist)
+    outliers = search_outliers(start, dataset, seen, options, known)
     if outliers is not None:
         warnings = (*result.warnings, outliers.description)
         result = replace(result, warnings=warnings, outliers=outliers)

@@ -128,6 +128,12 @@ def describe_far_values(dataset: Dataset) -> dict[int, str]:
     return {number: "; ".join(words) for number, words in found.items()}
 
 
+def may_hide_in_noise(observations: Observations, dataset: Dataset) -> bool:
+    """Whether values far outside those of most samples may hide in the noise, which was estimated
+    with them: it is as large as they are, so that none of them contradicts the others."""
+    return observations.noise_assumed and bool(describe_far_values(dataset))
+
+
 def _find_in(system: System) -> np.ndarray:
     return find_outliers(system.residual, system.jacobian, system.informative)[0]
 

@@ -163,9 +163,9 @@ def _state_noise(
 
 
 def describe_largest_joint(model: Model, effect: str) -> str:
-    """Name an effect of a model, with the joint in which it is largest and its size over the
-    joints, `backlash (largest in joint2: 0.9 to 2.1 arcmin)`; the name alone if its parameters do
-    not belong to all joints in one unit."""
+    """Name an effect of a model, with the joint in which it is largest and its sizes,
+    `backlash (largest in joint2: 2.1 arcmin, others up to 0.9)`; the name alone if its parameters
+    do not belong to all joints in one unit."""
     sizes, units = dict.fromkeys(model.joints, 0.0), set[str]()
     for p, value, fixed in zip(model.table, model.values, model.fixed, strict=True):
         own, _, rest = p.name.partition(".")
@@ -176,8 +176,9 @@ def describe_largest_joint(model: Model, effect: str) -> str:
     if len(sizes) < 2 or units not in ({"m"}, {"rad"}):
         return effect
     unit, factor = error_unit(units.pop())
-    low, high = (f"{factor * size:.3g}" for size in (min(sizes.values()), max(sizes.values())))
-    return f"{effect} (largest in {max(sizes, key=sizes.__getitem__)}: {low} to {high} {unit})"
+    *_, second, first = sorted(sizes, key=sizes.__getitem__)
+    most, others = (f"{factor * sizes[name]:.3g}" for name in (first, second))
+    return f"{effect} (largest in {first}: {most} {unit}, others up to {others})"
 
 
 def count_revisits(noise: NoiseFloor) -> str:

@@ -13,6 +13,7 @@ import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
 
+import parallel_cal.diagnosis.diagnose as diagnosing
 import parallel_cal.diagnosis.next_measurement as next_measurement
 import parallel_cal.identification.fit as fitting
 import parallel_cal.identification.given_model as given_model
@@ -250,6 +251,20 @@ def test_a_dissipative_effect_of_the_wrong_sign_teaches_the_robot_nothing():
     assert not found.effects
     assert "width would have to be -0.00" in found.verdict.text
     assert "check the recorded direction and travel of the joints" in found.verdict.text
+
+
+def test_an_effect_that_held_out_poses_do_not_prove_has_no_probability(monkeypatch):
+    """The table gave 99 % to what `add` refused, and the verdict called the error unexplained."""
+
+    def refuse(*given, **options):
+        raise FitError("the validation error does not fall")
+
+    monkeypatch.setattr(diagnosing, "find_addition", refuse)
+    data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))], n_poses=110)
+    found = diagnose(MODEL, data, effects=["backlash"])
+    row = entry(found.document(), "backlash")
+    assert (found.suspected, found.missing) == (("backlash",), [])
+    assert (row["probability"], row["reason"]) == (None, "the validation error does not fall")
 
 
 @pytest.mark.wide

@@ -5,8 +5,8 @@ A worker takes file after file. A long file at the end would keep one worker bus
 
 from collections import Counter
 
-# s of processor time: of a test by its mark, and of files that take longer than that. Tests of pages
-# count by their number: a browser waits for the machine, and has it once the tests with nodes end.
+# s of processor time: of a test by its mark, and of files that take longer. Tests of pages count by
+# their number: a browser waits for the machine, and has it once the tests with nodes have ended.
 WIDE_S, QUICK_S = 0.8, 0.1
 LONG_FILES_S = {
     "test_docs.py": 150,

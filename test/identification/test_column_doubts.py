@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from datasets import measured
 
+import parallel_cal.identification.fit as identification
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis import fitting
@@ -145,6 +146,24 @@ def test_motion_that_is_not_explained_beside_an_outlier_is_put_down_to_it(monkey
     )
     with pytest.raises(FitError, match=words):
         fit(LINEAR, unseen(7, z=-0.999), hold_out=0)
+
+
+def test_a_noise_that_was_estimated_with_far_values_does_not_hide_them(monkeypatch):
+    """A cell of -9999 mm was 1.6 sigmas of the noise that was estimated with it: `fit` named no
+    sample, and a diagnosis found all of them at the noise."""
+    searched = []
+    monkeypatch.setattr(
+        identification, "search_outliers", lambda *given: searched.append((given[2], given[4]))
+    )
+    model = replace(LINEAR, noise=Noise())
+    result = identification.fit(model, unseen(7, z=-0.999), insist=True, hold_out=0)
+    [(seen, known)] = searched
+    estimated, assumed = (
+        np.sqrt(np.diagonal(one.S, axis1=1, axis2=2)[:, -6:-3].max())
+        for one in (result.observations, seen)
+    )
+    assert known is None
+    assert assumed < 1e-3 < estimated
 
 
 def test_the_value_of_a_device_that_saw_nothing_is_named_by_a_diagnosis():

@@ -221,8 +221,8 @@ def test_the_joint_in_which_an_effect_is_largest_is_named_with_its_size():
     known = model.table.mapping(model.values) | values | sines
     model = model.with_values(np.array([known[name] for name in model.table.names]))
     said = describe_largest_joint(model, "backlash")
-    assert said == "backlash (largest in joint2: 0 to 3.09 arcmin)"
-    assert "(largest in joint3: 0 to 1.72 arcmin)" in describe_largest_joint(
+    assert said == "backlash (largest in joint2: 3.09 arcmin, others up to 1.03)"
+    assert "(largest in joint3: 1.72 arcmin, others up to 0)" in describe_largest_joint(
         model, "encoder_eccentricity"
     )
     cable = new_model("delta54", effects=("thermal_expansion",))
