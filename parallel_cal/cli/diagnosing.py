@@ -67,7 +67,8 @@ def diagnose(
         "parallel-cal": write_program(found.model),
         "MODEL": shlex.quote(str(model)),
         "RECORDING": shlex.join([*map(str, bags), *reading]),
-        "BETTER.yaml": "better.yaml",
+        # The last calibration is the prior of its update, and stays.
+        "BETTER.yaml": f"{model.stem}_updated.yaml" if updates else "better.yaml",
         "REFITTED.yaml": "refitted.yaml",
     }
     lines = [name_files(line, names) for line in summarize(found)]

@@ -1,6 +1,7 @@
 """A session that updates a calibration judges its models as a fit with --update does."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -53,6 +54,19 @@ def test_page_and_command_line_diagnose_an_update_with_the_numbers_of_its_fit(up
     assert (page["verdict"]["word"], line["left"]) == (line["verdict"], "no")
     assert page["answers"]["is_left"] == line["left"]
     assert updated.state.verdict == line["verdict"]
+
+
+@pytest.mark.wide
+def test_the_last_calibration_stays_whatever_its_update_lacks(tmp_path):
+    """It is the prior of the next diagnosis; the proposed command wrote over it."""
+    today = session(40, np.random.default_rng(10), (0.0, 0.0, 0.0))
+    rippled = replace(today, q=today.q + 2e-3 * np.sin(23 * today.q))
+    rippled.to_json(tmp_path / "today.json")
+    write_model(calibrated(), tmp_path / "better.yaml")
+    words = ["diagnose", str(tmp_path / "better.yaml"), str(tmp_path / "today.json"), "--update"]
+    words += ["--effect", "gear_transmission_error"]
+    said = " ".join(CliRunner().invoke(application(words), words).stdout.split())
+    assert re.search(r"better\.yaml gear_.* --update -o better_updated\.yaml", said)
 
 
 @pytest.mark.wide
