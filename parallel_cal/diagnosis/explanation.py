@@ -252,7 +252,7 @@ def _depends_on(posterior: Posterior, name: str, conditions: set[str]) -> bool:
 
 
 def _find_known(base: Trial) -> Prior:
-    """What is known of the robot before these samples: its drawing, unless the fit had a prior."""
+    """The knowledge of the robot before these samples: its drawing, or the prior of the fit."""
     return base.fitted.prior or Prior.of_drawing(base.fitted.model.table)
 
 

@@ -167,8 +167,8 @@ class FitResult(ShownInNotebook):
 
     @property
     def prior(self) -> Prior | None:
-        """What was known of the parameters before these samples, of a fit with a stated prior; None
-        if tolerances alone were known."""
+        """The stated knowledge of the parameters before these samples; None if tolerances alone
+        were known."""
         return self.options.prior if isinstance(self.options.prior, Prior) else None
 
     @property

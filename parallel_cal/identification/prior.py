@@ -55,8 +55,8 @@ class Prior:
         return Prior(model.table.names, model.values, covariance)
 
     def of_table(self, table: ParameterTable) -> Prior:
-        """What is known of the parameters of a table: those that the prior does not name are known
-        as before any data."""
+        """The prior of the parameters of a table. Those that this prior does not name are known as
+        before any data."""
         if self.names == table.names:
             return self
         at = {name: i for i, name in enumerate(self.names)}
