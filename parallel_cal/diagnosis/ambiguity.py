@@ -80,7 +80,8 @@ def describe_ambiguities(found: Sequence[Ambiguity], plan: DecidingPoses | None)
         if plan is not None and {one.effect, *one.names}.issuperset(plan.between):
             would = "tell" if plan.is_enough else "not yet tell"
             cure = (
-                f"; {len(plan.poses)} planned poses would {would} (with a probability of "
+                f"; {len(plan.poses)} planned pose{'s' if len(plan.poses) > 1 else ''} would "
+                f"{would} (with a probability of "
                 f"{plan.certainty.then:.2f})"
             )
         sentences.append(

@@ -103,9 +103,9 @@ class DecidingPoses:
 
     def __str__(self) -> str:
         return (
-            f"{len(self.poses)} planned poses are expected to show with a probability of "
-            f"{self.certainty.then:.2f} whether the robot has {' or '.join(self.between)}; the "
-            f"present samples do with {self.certainty.now:.2f}"
+            f"{len(self.poses)} planned pose{'s are' if len(self.poses) > 1 else ' is'} expected "
+            f"to show with a probability of {self.certainty.then:.2f} whether the robot has "
+            f"{' or '.join(self.between)}; the present samples do with {self.certainty.now:.2f}"
         )
 
     def csv(self, model: Model) -> str:
