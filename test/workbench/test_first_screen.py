@@ -279,7 +279,7 @@ def test_a_sentence_that_begins_with_an_effect_has_its_name_for_people():
 
     verdict = Verdict("explained", "own_weight_sag accounts for it", remarks=("encoder_gain fits",))
     diagnosis = SimpleNamespace(verdict=verdict, model=SimpleNamespace(effects=()))
-    said = _verdict(SimpleNamespace(diagnosis=diagnosis))
+    said = _verdict(diagnosis)
     assert said["words"] == "Sag by its own weight accounts for it."
     assert said["remarks"] == ["Gain of the drives fits."]
 
