@@ -93,15 +93,16 @@ def direct(
     from parallel_cal.kinematics import answers, solving
 
     robot, conditions = _read_robot_and_conditions(model, at)
+
+    def warn(found: Solutions, conditions: Mapping[str, Any], explained: np.ndarray | None) -> None:
+        disagreement = answers.describe_disagreement(found, explained)
+        region = _list_region_warnings(found, robot, conditions)
+        console.warn(filter(None, [*region, disagreement]))
+
     if table is not None:
         answer = direct_table(robot, table, conditions, solver, covariance)
         _output_table(answer, output, as_json)
-        return console.warn(
-            [
-                *_list_region_warnings(answer.found, robot, answer.conditions),
-                *filter(None, [answers.describe_disagreement(answer.found, answer.explained)]),
-            ]
-        )
+        return warn(answer.found, answer.conditions, answer.explained)
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
             f"--joints: {len(q)} values given, {robot.mechanism.name} has {len(robot.joints)} "
@@ -111,12 +112,7 @@ def direct(
     known = answers.direct_covariances(robot, found, conditions) if covariance else None
     explained = answers.explained_residuals(robot, found, conditions)
     _print_solutions(found, robot, known, _pose_sigma, as_json, explained)
-    console.warn(
-        [
-            *_list_region_warnings(found, robot, conditions),
-            *filter(None, [answers.describe_disagreement(found, explained)]),
-        ]
-    )
+    warn(found, conditions, explained)
 
 
 def inverse(

@@ -527,8 +527,8 @@ class _Setup:
         outliers = search_outliers(model, dataset, observations, options)
         numbers = list(outliers.numbers) if outliers else []
         few = numbers if are_few(numbers, dataset) else []
-        others = dataset.excluding(few, f"because it is {explain_exclusion(dataset, few)}")
         if implausible:
+            others = dataset.excluding(few, f"because it is {explain_exclusion(dataset, few)}")
             check_samples(model, others, options, implausible)
         return (few, observations) if few else None
 

@@ -101,11 +101,11 @@ def entries(
     against: Mapping[str, str],
     best: Trial,
     explanation: Explanation,
-    unproven: Collection[str],
+    suspected: Collection[str],
 ) -> tuple[Entry, ...]:
     """Make one entry for each candidate, the most probable first: evidence if it is testable, else
-    a reason. Of effects that are `unproven` at held-out poses, the sum states no probability: they
-    may imitate what is not in the catalogue.
+    a reason. Effects that are `suspected`, but not proven at held-out poses, have no probability:
+    they may imitate what is not in the catalogue.
 
     Probable ones are fitted, each alone by a single step; those that `best` chose as large as the
     data show, even if that is unusual.
@@ -117,7 +117,7 @@ def entries(
             alike[one.name] += (other.name,)
             alike[other.name] += (one.name,)
 
-    shown = [one.name for one in ranked if one.testable and one.name not in unproven]
+    shown = [one.name for one in ranked if one.testable and one.name not in suspected]
     probability = {name: explanation.probability_of(name) for name in shown}
 
     def place(one: Candidate) -> tuple[bool, bool, float, float]:

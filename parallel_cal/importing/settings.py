@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from difflib import SequenceMatcher, get_close_matches
+from difflib import SequenceMatcher
 from pathlib import Path
 
 import numpy as np
@@ -162,11 +162,9 @@ def _split(field: str) -> tuple[str, str]:
 
 
 def _similarity(name: str, wanted: str) -> float:
-    """Return how alike two names are, up to 1; 0 if they are not, or if only digits and single
-    letters differ, such as in `x_offset` and `y_offset`, which are different names."""
+    """Return how alike two names are, up to 1; 0 if only digits and single letters differ, such as
+    in `x_offset` and `y_offset`, which are different names."""
     name, wanted = name.lower(), wanted.lower()
-    if not get_close_matches(name, [wanted], cutoff=MIN_SIMILARITY):
-        return 0.0
     words, plain = (
         [re.findall(e, each) for each in (name, wanted)] for e in ("[a-z]{2,}", r"[^\W_]")
     )

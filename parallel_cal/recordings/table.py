@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -119,18 +119,13 @@ class Table:
     def _name_odd_cells(self, rows: Sequence[int]) -> str:
         """Name the cells of these rows that are no numbers, in columns of which most are; empty if
         there are none."""
-        odd = list[tuple[int, str]]()
+        odd = list[tuple[int, str, str]]()
         for column, name in enumerate(self.header):
             texts = {k: self.rows[k][column].strip() for k in rows}
             bad = [k for k, text in texts.items() if text and not math.isfinite(self._number(text))]
             if 2 * len(bad) < len(rows):
-                odd += [
-                    (self.lines[k], f"line {self.lines[k]} column {name} ({texts[k]!r:.60})")
-                    for k in bad
-                ]
-        if not odd:
-            return ""
-        return f". Cells of other lines are no numbers: {_join_first([w for _, w in sorted(odd)])}"
+                odd += [(self.lines[k], name, texts[k]) for k in bad]
+        return f". Cells of other lines are no numbers: {_join_cells(sorted(odd))}" if odd else ""
 
     def texts(self, name: str) -> list[str]:
         """Return a column's cells; empty in rows whose length differs from the header's.
@@ -184,10 +179,9 @@ class Table:
         what = f"{self.path}:{line}: column {name} contains {text!r:.60}, expected a finite number"
         if not others:
             return DatasetError(f"{what}: enter one or remove the line{hint}")
-        also = _join_first([f"line {n} column {column} ({t!r:.60})" for n, column, t in others])
         return DatasetError(
-            f"{what}. {len(others) + 1} cells have this fault, also {also}: enter numbers or "
-            f"remove the lines{hint}"
+            f"{what}. {len(others) + 1} cells have this fault, also {_join_cells(others)}: enter "
+            f"numbers or remove the lines{hint}"
         )
 
     def _check_decimal_sign(self, name: str, texts: Sequence[str]) -> None:
@@ -203,6 +197,11 @@ class Table:
                 f"but {texts[other]!r:.60} in line {self.lines[other]}: expected a comma or a "
                 "point as decimal sign, not both. Export the table without thousands separators"
             )
+
+
+def _join_cells(cells: Iterable[tuple[int, str, str]]) -> str:
+    """Join cells, each a line, a column and a text, as `_join_first` does."""
+    return _join_first([f"line {line} column {name} ({text!r:.60})" for line, name, text in cells])
 
 
 def _join_first(places: Sequence[str]) -> str:

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 Writer = Callable[[Summary, Mapping[str, float]], str]
 PROGRAM = "parallel-cal"
 HELD_OUT = " (rms at held-out poses)"
+IMITATES = "the error falls with it, but something else causes it"
 STATED = (
     " by the stated noise; that of the samples is smaller, as where the stated noise is that of "
     "single messages"
@@ -207,7 +208,7 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
         yield Line("missing:", "no effect of the catalogue")
     for cause in imitators:
         text = _join_rivals(cause["each"], "{name} {percent}")
-        yield Line("imitates:", f"{text}: the error falls with it, but something else causes it")
+        yield Line("imitates:", f"{text}: {IMITATES}")
     laws = [f"{name} ({format_percent(p)})" for name, p in diagnosis.explanation.laws.items()]
     what = f", described best by an unknown {' and an unknown '.join(laws)}" if laws else ""
     yield Line("left:", f"{diagnosis.left}{what}")
@@ -228,7 +229,7 @@ def describe_missing(diagnosis: Diagnosis) -> str:
         text += _describe_doubted(cause["settings"])
         sentences.append(f"{text[0].upper()}{text[1:]}")
         if cause in imitators:
-            sentences[-1] += "; the error falls with it, but something else causes it"
+            sentences[-1] += f"; {IMITATES}"
     return "".join(f"{sentence}. " for sentence in sentences).rstrip()
 
 

@@ -374,7 +374,7 @@ def test_an_orientation_that_the_robot_has_is_no_reason_for_a_warning(run, docum
 
 
 def test_what_is_assumed_for_a_pose_that_was_given_in_part_is_said(run, tmp_path):
-    """An ankle that was asked for a position alone answered with home, and did not say so."""
+    """The answer for the position of an ankle has the orientation of home, which must be said."""
     robot = tmp_path / "ankle.yaml"
     write_model(new_model("ankle_2rsu"), robot)
     code, _, err = run("inverse", robot, "--position", 0.05, 0.05, 0.1)

@@ -129,7 +129,7 @@ def _count(stated: Settings, name: str, what: str, warnings: list[str]) -> int:
     """Return how many of `height0`, `height1`, ... Klipper reads; it stops where one is missing."""
     read = next(k for k in itertools.count() if f"{TOUCHES} {name}{k}" not in stated)
     numbered = re.compile(re.escape(f"{TOUCHES} {name}") + r"\d+")
-    if more := sum(map(bool, map(numbered.fullmatch, stated.texts))) - read:
+    if more := len([field for field in stated.texts if numbered.fullmatch(field)]) - read:
         warnings.append(
             f"{name}{read} is missing: like Klipper, this import stops there, and omits "
             f"{more} {what}{'s' if more > 1 else ''} behind it"
