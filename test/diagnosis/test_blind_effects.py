@@ -59,7 +59,7 @@ def test_the_first_round_has_five_draws_of_every_row_before_the_sixth_of_any():
 
 # One of each robot, of the robot or of its device; the others are checked at night.
 TYPICAL = (
-    *("cross-talk", "refraction", "leaning base", "twisted struts", "pulleys"),
+    *("cross-talk", "refraction", "leaning base", "pulleys"),
     *("heavy links", "late drives", "warm rods", "probe beside"),
 )
 

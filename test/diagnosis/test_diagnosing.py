@@ -87,8 +87,10 @@ def test_repeated_visits_of_a_pose_do_not_count_as_similar_neighbours():
     assert morans_i(field, places, np.arange(120))[1] < 0.01  # what would go wrong
 
 
-@pytest.mark.parametrize("clusters", [0, 6])
-@pytest.mark.parametrize("visits", [1, 10])
+@pytest.mark.parametrize(
+    ("clusters", "visits"),
+    [(6, 1), (0, 10), *(pytest.param(*one, marks=pytest.mark.wide) for one in ((0, 1), (6, 10)))],
+)
 def test_white_noise_has_structure_as_rarely_as_stated(clusters, visits):
     """On even and on clustered poses, also if those of one region are visited ten times."""
     alarms, draws = 0, 400

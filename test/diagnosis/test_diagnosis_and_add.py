@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import virtual_findings as vf
 from findings import hiding
+from marks import keep
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.addition import find_addition
@@ -91,6 +92,7 @@ def knocked(name, model, sample, by, without=()):
     return replace(data, r=r, conditions=kept)
 
 
+@pytest.mark.wide
 def test_a_knocked_sample_with_which_no_plausible_effect_fits_is_excluded_by_add():
     """With the sample, the shafts would have a negative compliance."""
     model = read_model(MOCK_UP)
@@ -103,7 +105,8 @@ def test_a_knocked_sample_with_which_no_plausible_effect_fits_is_excluded_by_add
     assert held_out(step.result) == pytest.approx(held_out(alone.result), rel=1e-6)
 
 
-@pytest.mark.parametrize("sample", [pytest.param(5, marks=pytest.mark.wide), 30])
+@pytest.mark.wide
+@pytest.mark.parametrize("sample", keep([5, 30], 30))
 def test_a_sample_that_hides_a_part_of_the_error_is_excluded_by_diagnose_as_by_add(sample):
     """Nobody recorded the temperature, so that the backlash explains a part only."""
     model = read_model(FINE)
@@ -172,6 +175,7 @@ def eight_lines(gains, columns):
     )
 
 
+@pytest.mark.wide
 def test_gains_of_some_per_cent_are_not_taken_for_exchanged_columns():
     gains = (0.975, 0.926, 0.923, 0.896, 1.028, 1.133, 0.898, 1.008)
     model, data = eight_lines(gains, list(range(8)))

@@ -97,7 +97,7 @@ def test_frames_do_not_imitate_what_usual_sizes_leave_of_a_large_effect(linear_d
     assert gain == pytest.approx(session.causes.gain[0], abs=3e-4)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_device_stands_where_it_does_with_the_first_cause(linear_delta):
     """Where the tracker was registered without the large cause, only a geometry that no robot has
     described the samples, whatever was added."""

@@ -3,6 +3,7 @@ in one sentence; no step ends with another exception than the package's own."""
 
 import numpy as np
 import pytest
+from marks import keep
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.rotation import rotation_matrix
@@ -131,7 +132,10 @@ def check_every_step(robot, seed):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("robot", "seed"), [("scara", 3), ("argos27", 1), ("five_bar", 0)])
+@pytest.mark.parametrize(
+    ("robot", "seed"),
+    [("scara", 3), pytest.param("argos27", 1, marks=pytest.mark.wide), ("five_bar", 0)],
+)
 def test_every_step_answers_a_small_session_or_refuses_it_in_a_sentence(robot, seed):
     check_every_step(robot, seed)
 
@@ -139,7 +143,7 @@ def test_every_step_answers_a_small_session_or_refuses_it_in_a_sentence(robot, s
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     "robot",
-    [pytest.param(one, marks=pytest.mark.slow if one == "hexapod" else ()) for one in ROBOTS],
+    keep(ROBOTS, "delta24", "slider_crank"),
 )
 @pytest.mark.parametrize(
     "seed",
@@ -168,6 +172,7 @@ def scara_at_heights(heights):
     )
 
 
+@pytest.mark.wide
 def test_a_column_that_stands_at_five_heights_is_diagnosed():
     model, data = scara_at_heights([0, 0.1, 0.2, 0.3, 0.4])
     found = diagnose(fitted(model, data).model, data)

@@ -156,7 +156,7 @@ def dent(seed):
     return dataset(vf.samples(day, [deep], noise, seed), noise)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_an_eccentric_disc_keeps_its_name_whatever_the_certificate_allows():
     """Discs 60 um off-centre leave 12 um. A device may err by as much, but not in this form."""
     disc = vr.EncoderEccentricity((2.7e-3, -1.5e-3, 0.9e-3), (-1.2e-3, 2.6e-3, 2.8e-3))
@@ -208,7 +208,7 @@ def test_a_kind_of_device_has_what_its_data_sheets_promise():
     assert tracker.with_effect("device_axes").table["device_axes.scale_x"].tolerance == 10e-6
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_refused_lookalike_of_two_effects_together_is_no_objection_to_one_of_them():
     """Compliance and eccentricity: a sag out of its range fits better than either alone."""
     day = vf.session(0)
@@ -260,7 +260,9 @@ def test_axes_that_lean_by_a_milliradian_keep_their_name(seed):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("bend", [(-0.94e-3, -1.27e-3), (-1.62e-3, 1.68e-3)])
+@pytest.mark.parametrize(
+    "bend", [(-0.94e-3, -1.27e-3), pytest.param((-1.62e-3, 1.68e-3), marks=pytest.mark.slow)]
+)
 def test_light_that_bends_before_a_stewart_platform_is_the_devices(bend):
     """Over a low workspace its parabola is a lean of the axes, which gains of the legs imitate."""
     form = np.zeros((3, 3, 3))

@@ -63,6 +63,7 @@ def test_friction_that_grows_with_the_load_leaves_something_that_depends_on_payl
     assert "what remains depends on payload" in found.verdict.text
 
 
+@pytest.mark.slow
 def test_arms_of_different_warmth_leave_something_that_depends_on_temperature():
     found = diagnosed("arm_temperatures")
     assert found.verdict.word == "partly_explained"  # the arms' mean growth is a part of it
@@ -101,6 +102,7 @@ def test_a_base_that_leans_away_from_the_load_is_named_and_added():
     assert compute_true_error("leaning_base", added) < 0.7e-6 < 1.4e-6 < without
 
 
+@pytest.mark.slow
 def test_add_accepts_the_named_effects_together_and_one_by_one():
     model, data = session("three_effects")
     found = diagnose(model, data)

@@ -17,6 +17,7 @@ import virtual_blind as vb
 import virtual_findings as vf
 import virtual_laws as laws
 import virtual_sessions as days
+from marks import keep
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.parallel import run_on_cores
@@ -83,13 +84,11 @@ SIZES = {
     "arm": {laws.cross: 2.4e-4, laws.coupling: 2.3e-4, laws.dent: 1.1e-3},
 }
 CASES = [(name, kind) for name, sizes in SIZES.items() for kind in sizes]
-# One law for each kind of place and of driver; the others are found in the same way.
+# Two; the others are found in the same way. The tests below have laws of a joint by its own reading
+# and by its load, and of rods.
 TYPICAL = [
-    ("delta", laws.dent),  # a joint, by a spot of its own reading
     ("delta", laws.sag),  # the platform
     ("delta", laws.new_zero),  # by time
-    ("hexapod", laws.spring),  # a leg, by its load
-    ("arm", laws.coupling),  # a chain
 ]
 
 
@@ -249,7 +248,7 @@ def test_a_part_that_warms_up_after_the_sensor_errs_with_the_delayed_temperature
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", keep(range(3), 0))
 def test_noise_alone_has_no_law(seed):
     found = discover(new_model("delta54"), findings.clean(seed))
     assert (found.verdict, found.laws, found.suspected) == ("nothing", (), ())
@@ -271,13 +270,7 @@ def test_noise_that_is_not_as_stated_has_no_law(kind):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize(
-    "device",  # one that the pose tells, and one that the time tells
-    [
-        pytest.param(name, marks=[] if name in ("refraction", "bump") else pytest.mark.slow)
-        for name in vb.DEVICE
-    ],
-)
+@pytest.mark.parametrize("device", keep(vb.DEVICE, "refraction"))
 def test_an_error_of_the_device_is_not_learned_by_the_robot(device):
     day = vf.session(2)
     effect = vb.DEVICE[device](4e-5, np.random.default_rng(2))

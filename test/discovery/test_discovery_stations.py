@@ -77,7 +77,7 @@ def test_from_one_station_the_robot_or_the_device_may_err_and_a_second_one_is_ad
     assert found.measure_next[-1].startswith("a second station: measure the same poses with")
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_the_robot_does_not_learn_what_stays_the_same_as_the_device_turns():
     """A lean away from the z axis looks the same from a device turned about this axis."""
     stand = vb.YieldingStand(SIZE)

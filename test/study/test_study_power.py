@@ -267,7 +267,7 @@ def test_the_prediction_is_what_the_evidence_of_a_diagnosis_shows(question):
         assert np.mean(named) == pytest.approx(share, abs=0.2)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_two_workers_a_killed_scheduler_and_one_process_say_the_same(question, tmp_path):
     pytest.importorskip("distributed")
     asked = (question, ["backlash"], 2)
