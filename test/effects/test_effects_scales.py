@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import virtual_effects_more as more
+from marks import as_slow
 
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.exporting.targets import c
@@ -284,7 +285,7 @@ def test_the_sigmas_of_the_expansions_are_honest():
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("scales", [STEEL, 0.0], ids=["screw", "constant"])
+@pytest.mark.parametrize("scales", [STEEL, as_slow(0.0)], ids=["screw", "constant"])
 def test_the_verdict_on_a_warm_hexapod_is_explained_and_then_at_noise(scales):
     data = session(hexapod(3), growth(scales), 3)
     plain = fit(hexapod_model(), data).model

@@ -37,6 +37,7 @@ def test_an_effect_in_the_first_fit_is_identified_together_with_the_geometry(wit
     assert result.model.values == pytest.approx(two_steps.model.values, abs=1e-6)
 
 
+@pytest.mark.wide
 def test_geometry_that_runs_away_alone_is_identified_together_with_the_missing_effect():
     """Drives that go 6 % too far: lengths would have to be what no such robot has."""
     data = measured(2, effects=[ve.WrongPitch((0.06, 0.055, 0.065))])
@@ -72,7 +73,7 @@ def test_a_step_to_an_implausible_geometry_is_refused_and_says_how_to_go_on(with
     assert step.model.value("encoder_gain.leg1.gain") == pytest.approx(0.06, rel=0.05)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_what_an_implausible_geometry_imitates_is_diagnosed_and_added_at_once(with_a_wrong_pitch):
     model, tested = new_model("stewart42"), ["backlash", "encoder_gain", "encoder_crosstalk"]
     found = diagnose(model, with_a_wrong_pitch, effects=tested)
@@ -113,6 +114,7 @@ def test_an_unknown_effect_one_that_the_model_has_and_an_unstated_ratio_are_refu
     assert stated.model.value("gear_transmission_error.ratio") == 80
 
 
+@pytest.mark.wide
 def test_a_setting_far_outside_its_usual_range_is_named_with_its_unit(with_backlash):
     model, effect = new_model("delta54"), "gear_transmission_error:ratio=5000"
     words = "gear_transmission_error.ratio is 5000, but usually 0.001 to 250: settings of effects"

@@ -8,6 +8,7 @@ import pytest
 import virtual_day as vd
 import yaml
 from datasets import JOINTS, as_dataset, measured, quiet, redrawn
+from marks import as_slow
 from scipy import stats
 
 from parallel_cal.base.errors import FitError
@@ -169,7 +170,7 @@ PARALLEL = vr.TABLE_5_12 | {
 @pytest.mark.wide
 @pytest.mark.parametrize(
     ("name", "true", "seen"),
-    [("delta54", vr.TABLE_5_18, 6), ("delta24", PARALLEL, 3)],
+    [as_slow(("delta54", vr.TABLE_5_18, 6)), ("delta24", PARALLEL, 3)],
     ids=["model 54 from full poses", "model 24 from positions"],
 )
 def test_predicted_sigma_is_the_spread_over_200_noise_seeds(name, true, seen):

@@ -306,7 +306,7 @@ def test_a_fit_that_misses_a_joints_whole_range_is_never_written(tmp_path, capsy
     map_file.write_text(column_map({f"leg{i}": f"leg{i}" for i in range(1, 7)}))
     assert run("import-csv", tmp_path / "t.csv", "--columns", map_file, "-o", samples) == 0
     capsys.readouterr()
-    assert run("fit", file, samples, "-o", better, "--force") == 1
+    assert run("fit", file, samples, "-o", better, "--force", "--hold-out", 0) == 1
     said = capsys.readouterr().err.replace("\n", " ")
     assert "misses the readings of joint leg" in said
     assert "more than its whole range (0 to 0.2)" in said
@@ -392,7 +392,12 @@ def test_sound_samples_are_fitted_wherever_the_device_stands(elsewhere):
     fit(replace(stewart((-0.4, 0.4)), noise=NOISE), seen_from(elsewhere), hold_out=0)
 
 
-@pytest.mark.parametrize("what", SPOILT)
+FIRST = {"sign": (), "exchanged": pytest.mark.wide, "unit": pytest.mark.wide}
+
+
+@pytest.mark.parametrize(
+    "what", [pytest.param(one, marks=FIRST.get(one, pytest.mark.slow)) for one in SPOILT]
+)
 @pytest.mark.parametrize("elsewhere", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_what_was_meant_is_named_if_it_fits_the_poses(what, elsewhere):
     spoil, words = SPOILT[what]
@@ -424,6 +429,7 @@ def test_two_mistakes_at_once_are_refused_and_the_command_tries_no_effect():
         fitted(nominal("ur5"), wrong)
 
 
+@pytest.mark.wide
 def test_a_zero_a_quarter_turn_away_is_named_and_robots_with_errors_are_let_in():
     model, data = delta(lambda q: q + [0.0, np.pi / 2, 0.0])
     with pytest.raises(FitError, match=r"-90 deg are added to joint2 \(column map: joint2: {col"):

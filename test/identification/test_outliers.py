@@ -136,7 +136,8 @@ def under_load(few, seed=0):
     return dataset(samples, vr.THESIS_NOISE)
 
 
-@pytest.mark.parametrize("knocked", [(77,), pytest.param((), marks=pytest.mark.wide)])
+@pytest.mark.wide
+@pytest.mark.parametrize("knocked", [(77,), pytest.param((), marks=pytest.mark.slow)])
 def test_a_few_samples_under_load_are_not_excluded_but_explained(knocked):
     """They are as far away as outliers, and the others agree without them."""
     samples = moved(under_load([20, 60, 90, 110]), dict.fromkeys(knocked, (4e-3, 0, 0)))

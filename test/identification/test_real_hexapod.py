@@ -69,7 +69,7 @@ def test_lengths_in_m_without_a_drive_give_the_same_geometry(tmp_path, joint):
     assert held_out_mm(fit(model, data)) == pytest.approx(1.91, abs=0.1)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_lengths_in_m_without_a_drive_end_at_the_same_error_by_the_advice_of_the_diagnosis(
     tmp_path,
 ):

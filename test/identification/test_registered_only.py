@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import virtual_arm as va
 from arms import nominal, seen
+from marks import as_slow
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -29,6 +30,7 @@ from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
 
 LASER_ARMS = Path(__file__).parents[2] / "real" / "laser_arms"
+TIGHT_TOLERANCES = {"m": 5e-4, "rad": 8.7e-3}
 WIDE_TOLERANCES = {"m": 0.03, "rad": 0.1}
 REFLECTOR = va.Tracker(target=(0.0, 0.0, 0.053))
 
@@ -109,8 +111,8 @@ def test_a_fit_of_a_fitted_file_starts_where_the_first_fit_ended(arm_in_its_base
     assert again.held_out.summary.position_rms == pytest.approx(ended, rel=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["ur5", "wam"])
-@pytest.mark.parametrize("sizes", [{"m": 5e-4, "rad": 8.7e-3}, WIDE_TOLERANCES])
+@pytest.mark.parametrize("kind", ["ur5", pytest.param("wam", marks=pytest.mark.wide)])
+@pytest.mark.parametrize("sizes", [TIGHT_TOLERANCES, WIDE_TOLERANCES])
 def test_a_reflector_beyond_the_flange_is_found_whatever_the_tolerances_say(kind, sizes):
     data = seen(va.session(va.arm(kind, 1), 80, 0, REFLECTOR), pose=False)
     model = with_tolerances(nominal(kind), sizes)
@@ -158,8 +160,15 @@ def laser_arm(kind: str) -> Dataset:
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("sizes", [{"m": 5e-4, "rad": 8.7e-3}, WIDE_TOLERANCES])
-@pytest.mark.parametrize(("kind", "independent"), [("ur5", 103.2e-6), ("wam", 2172e-6)])
+@pytest.mark.parametrize(
+    ("kind", "independent", "sizes"),
+    [
+        ("ur5", 103.2e-6, TIGHT_TOLERANCES),
+        ("wam", 2172e-6, WIDE_TOLERANCES),
+        as_slow(("ur5", 103.2e-6, WIDE_TOLERANCES)),
+        as_slow(("wam", 2172e-6, TIGHT_TOLERANCES)),
+    ],
+)
 def test_real_arms_with_an_unknown_reflector_reach_an_independent_fit(kind, independent, sizes):
     """`independent`: mean error of a NumPy fit of frame, target and all links in the same folds."""
     model = with_tolerances(nominal(kind), sizes)
@@ -191,6 +200,7 @@ def test_the_frame_moves_in_the_place_of_a_parameter_that_is_fixed_later():
     assert again.free.sum() == known.result.free.sum()
 
 
+@pytest.mark.wide
 def test_a_fit_whose_error_is_half_of_the_motion_is_of_another_machine(arm_in_its_base):
     other = replace(arm_in_its_base, r=arm_in_its_base.r[::-1])
     result = fit(nominal("ur5"), other, fix=["*"], free=["link1.theta"])
@@ -209,6 +219,7 @@ def test_a_model_that_is_judged_by_some_of_its_samples_observes_only_these(arm_i
     assert observed([]) is given.unregistered_observations
 
 
+@pytest.mark.wide
 def test_an_added_effect_moves_the_frame_back_from_where_its_lack_had_moved_it():
     """A wrist of which only the orientations are measured: a turn of its target, which the balls on
     the platform can take over, stood where an eccentric joint had moved it. The same model is

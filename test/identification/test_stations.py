@@ -116,7 +116,7 @@ def test_recordings_of_one_station_need_no_frame_of_their_own():
     assert rms(result.held_out) < 1.15 * result.noise_floor.position_rms
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_compare_and_fit_show_the_same_errors_before_at_two_stations():
     model, data = nominal("ur5"), joined(FIRST, SECOND)
     shown, result = compare(model, data), fit(model, data)

@@ -12,6 +12,7 @@ import pytest
 import virtual_arm as va
 from arms import nominal, seen
 from datasets import measured
+from marks import keep
 from scipy.spatial.transform import Rotation
 
 import parallel_cal as pc
@@ -93,12 +94,12 @@ CASES = [
     pytest.param(
         differential,
         "joint5 = (J5 + J6) / 2, joint6 = (J5 - J6) / 2, where",
-        marks=pytest.mark.wide,
+        marks=pytest.mark.slow,
     ),
     pytest.param(
         written("vector", "xyz"),
         "a rotation vector, not angles (column map: rotation_vector in",
-        marks=pytest.mark.wide,
+        marks=pytest.mark.slow,
     ),
     pytest.param(
         written("vector", "ZYX"),
@@ -110,7 +111,11 @@ CASES = [
         "angles xyz, not a rotation vector (column map: angles: {col",
         marks=pytest.mark.slow,
     ),
-    (written("ZYZ", "xyz"), "the angles are ZYZ, not xyz (column map: axes: ZYZ in place of xyz"),
+    pytest.param(
+        written("ZYZ", "xyz"),
+        "the angles are ZYZ, not xyz (column map: axes: ZYZ in place of xyz",
+        marks=pytest.mark.wide,
+    ),
     pytest.param(written("ZYZ", "ZYX"), "or ZYZ in place of ZYX)", marks=pytest.mark.slow),
     pytest.param(written("xyz", "ZYZ"), "or xyz in place of ZYZ)", marks=pytest.mark.slow),
     pytest.param(written("ZXZ", "xyz"), "axes: ZXZ in place of xyz", marks=pytest.mark.slow),
@@ -136,7 +141,8 @@ def test_the_cause_is_named_with_what_cures_it_though_nobody_stated_the_noise(
     assert float(smaller[2]) < 20  # what the geometry of this arm leaves before a fit
 
 
-@pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.wide)])
+@pytest.mark.wide
+@pytest.mark.parametrize("sign", keep([1, -1], 1))
 def test_a_coupling_shows_in_positions_alone(session, sign):
     only = replace(session, measured=session.measured & (np.arange(6) < 3))
     with pytest.raises(FitError, match=rf"joint3 = J3 \{'-' if sign > 0 else '+'} J2"):
@@ -168,6 +174,7 @@ def two_mistakes(data):
     return replace(data, q=data.q[:, [0, 2, 1, 3, 4, 5]] * [1, 1, 1, -1, 1, 1])
 
 
+@pytest.mark.wide
 def test_what_no_single_cause_explains_is_refused_with_its_share_of_the_motion(session):
     wrong, model = two_mistakes(session), nominal("ur5")
     model = replace(model, tolerances={p.name: 100 * p.tolerance for p in model.table})

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from board_images import LENS, SQUARE, printed, shots
+from marks import as_slow
 
 from parallel_cal.imaging.board import Board, read_board
 from parallel_cal.virtual.camera import Camera, FlatBoard, Imager
@@ -38,11 +39,11 @@ def errors_of(detector, camera, n, **options):
 @pytest.mark.parametrize(
     ("changes", "noisy", "sigma", "largest"),
     [
-        ({}, False, 0.03, 0.2),
+        as_slow(({}, False, 0.03, 0.2)),
         ({}, True, 0.04, 0.25),
         pytest.param({"imager": Imager(noise=3.0)}, True, 0.06, 0.4, marks=pytest.mark.slow),
         pytest.param({"blur": 2.0}, True, 0.08, 0.4, marks=pytest.mark.slow),
-        ({"focal": (600.0, 600.0), "distortion": (-0.28, 0.07)}, True, 0.06, 0.4),
+        as_slow(({"focal": (600.0, 600.0), "distortion": (-0.28, 0.07)}, True, 0.06, 0.4)),
         ({"focal": (560.0, 560.0), "fisheye": True, "distortion": (0.05, -0.01)}, True, 0.06, 0.4),
     ],
     ids=["exact", "usual noise", "much noise", "blurred", "wide angle", "fisheye"],

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import keep
 
 from parallel_cal.base.errors import ModelError, ModelFileError
 from parallel_cal.identification.fit import fit
@@ -21,10 +22,18 @@ from parallel_cal.recordings.writer import write_bag
 NEEDS_OPTIONS = {"serial", "chain"}  # described in its file: test_serial.py, test_chain.py
 # One angle against another, or two against two, tell little: the tolerances must help.
 NEEDS_PRIOR = {"rssr", "ankle_2rsu"}
+# Rods or none, in space and in a plane, positions or orientations alone, joints in m and in rad, a
+# prior. test_shelf_truth.py and test_mechanisms_against_virtual.py fit and solve the others.
+TYPICAL = (
+    *("argos9", "cable", "delta24", "five_bar", "hanging_sled", "linear_delta"),
+    *("quattro", "rssr", "scara16", "slider_crank", "stewart42", "tripod_struts"),
+)
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("name", sorted(set(list_plugins("mechanisms")) - NEEDS_OPTIONS))
+@pytest.mark.parametrize(
+    "name", keep(sorted(set(list_plugins("mechanisms")) - NEEDS_OPTIONS), *TYPICAL)
+)
 def test_file_bag_samples_and_fit_work_with(name, tmp_path):
     model = parse_model(dump_model(new_model(name)), name)
     write_bag(simulate(model, 60, 3, replicates=8), tmp_path / "bag", "mcap")

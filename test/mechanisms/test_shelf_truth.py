@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import virtual_shelf as vf
+from marks import as_slow
 
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -124,9 +125,9 @@ def test_a_fit_to_the_twins_measurements_ends_at_the_noise_floor_at_poses_not_se
 
 HIDDEN = [  # robot, effect in the twin, payload up to (kg), its name in the catalogue
     ("ankle_2rsu", Backlash((0.0028, 0.0025)), 0.0, "backlash"),
-    ("stewart_rss", Backlash((0.0028,) * 6), 0.0, "backlash"),
+    as_slow(("stewart_rss", Backlash((0.0028,) * 6), 0.0, "backlash")),
     ("hexaglide", Backlash((0.19 * MM,) * 6), 0.0, "backlash"),
-    ("hexaglide", ShaftTwist((8e-6, 0.0, 2e-6, 0.0, 8e-6, 0.0)), 10.0, "joint_compliance"),
+    as_slow(("hexaglide", ShaftTwist((8e-6, 0.0, 2e-6, 0.0, 8e-6, 0.0)), 10.0, "joint_compliance")),
     pytest.param(
         *("palletizer", ShaftTwist((0.0, 5e-5, 5e-5, 0.0)), 10.0, "joint_compliance"),
         marks=pytest.mark.slow,

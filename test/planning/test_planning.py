@@ -197,7 +197,9 @@ def test_a_plan_is_compared_with_a_random_set_of_median_information(monkeypatch)
     assert 0.2 < share < 0.8
 
 
-@pytest.mark.parametrize("criterion", ["D", "prediction", "condition"])
+@pytest.mark.parametrize(
+    "criterion", ["D", "prediction", pytest.param("condition", marks=pytest.mark.wide)]
+)
 def test_every_planned_pose_is_solvable_inside_and_away_from_singularities(criterion):
     model = noisy()
     found = plan(model, 12, criterion=criterion, pool=200)

@@ -225,6 +225,7 @@ def look_at_offset(seed, true, until):
     return clock_offset(joints, dataclasses.replace(pose, time=pose.time + true))
 
 
+@pytest.mark.wide
 def test_the_stated_interval_contains_the_offset_in_95_of_100_looks():
     """Bent paths leave residuals that are no noise: a sigma that takes them for noise is too
     small."""

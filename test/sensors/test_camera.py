@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import virtual_camera as vc
 from camera_cells import Cell
+from marks import as_slow
 from scipy.optimize import least_squares
 from virtual_effects_hidden import JointCompliance
 
@@ -222,9 +223,9 @@ def test_the_uncertainty_of_the_projection_is_that_of_an_independent_camera(hexa
     ("cell", "limit"),
     [
         (Cell("delta", 1), 90e-6),
-        (Cell("ur5", 1), 90e-6),
-        (Cell("delta", 1, on_platform=True), 140e-6),
-        (Cell("stewart", 1, lens=FISHEYE), 60e-6),
+        as_slow((Cell("ur5", 1), 90e-6)),
+        as_slow((Cell("delta", 1, on_platform=True), 140e-6)),
+        as_slow((Cell("stewart", 1, lens=FISHEYE), 60e-6)),
         (Cell("ur5", 0, on_platform=True, lens=FISHEYE, board=vc.Board(sag=(2e-3, -1e-3))), 1.5e-4),
     ],
     ids=["delta", "arm", "camera on the platform", "fisheye", "fisheye on an arm, bent board"],
@@ -278,7 +279,7 @@ def test_a_camera_and_a_board_that_are_held_where_the_start_has_them_stay_there(
     assert not found.model.values[held].any()
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_descent_along_a_curved_valley_ends():
     """The platform hardly tells where the board sits."""
     gears = JointCompliance((0.36985896e-3, 0.30828404e-3, 0.39870595e-3))
@@ -490,7 +491,7 @@ def test_an_impossible_camera_is_refused_with_option_value_and_expectation(optio
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [
-        ({"columns": 6, "rows": 8}, "columns: 8, rows: 6"),
+        pytest.param({"columns": 6, "rows": 8}, "columns: 8, rows: 6", marks=pytest.mark.wide),
         pytest.param({"mounted": "platform"}, "mounted: fixed", marks=pytest.mark.wide),
         pytest.param({"square": 0.06}, "square: about 0.03", marks=pytest.mark.wide),
         pytest.param({"square": 0.0003}, "square: about 0.03", marks=pytest.mark.slow),

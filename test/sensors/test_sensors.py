@@ -348,7 +348,7 @@ def test_argos_without_device_frames_is_not_found_and_with_them_it_is(misaligned
     assert held_out.joint_mean < 1.2 * floor.joint_mean
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_two_of_the_nine_device_parameters_of_the_argos_are_its_frames_turns(misaligned_argos):
     """5.5.1 counts 9 + 9 = 18; the gimbal's outer and inner zeros turn the frames (eq. 3.4: 15
     independent parameters of a spherical Argos, and the middle zero)."""

@@ -67,6 +67,7 @@ def test_every_picture_of_the_page_is_there_and_small():
         assert 1_000 < (DOCS / name).stat().st_size < 70_000
 
 
+@pytest.mark.slow
 def test_the_file_holds_the_entries_that_are_computed_today_finite_and_rounded(crank, mock_up):
     for name, fresh in (("slider_crank", crank), ("delta", mock_up)):
         kept = dict(leaves(KEPT[name]))

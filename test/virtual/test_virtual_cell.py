@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from marks import keep
 
 from parallel_cal.virtual.cell import Cell
 from parallel_cal.virtual.drive import Drive, Limits
@@ -247,7 +248,7 @@ def test_an_obstacle_stops_the_platform_before_it_and_lets_it_go_back():
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("robot", MACHINES)
+@pytest.mark.parametrize("robot", keep(MACHINES, "argos", "linear_delta"))
 def test_what_is_hidden_shows_in_the_poses_beyond_the_noise(robot):
     for kind in kinds_of(robot):
         plain, cell = (quiet(robot, seed=2, effects=e, air=0.0) for e in ((), (kind,)))

@@ -198,7 +198,7 @@ def test_the_scara_has_sixteen_independent_parameters():
     assert seen(sensitivities(vs.Serial, parameters, q)) == 16
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_three_of_the_papers_fifty_one_parameters_say_what_others_say():
     hubs = {k: v for k, v in delta51().items() if ".p_" in k}
     free = {k: v for k, v in strayed(delta51(), 1).items() if k not in hubs}
@@ -318,7 +318,7 @@ def bilinear(R, angles):
     return np.sin(t1 - a), second, third
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_the_nominal_argos_has_four_regular_orientations():
     q = np.array([0.1, -0.2, 0.3])
     half_turns = [np.diag(d) for d in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
@@ -342,7 +342,7 @@ def test_a_spherical_argos_turns_about_a_centre_that_stays():
     )
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_model_9_has_nine_independent_parameters_from_orientations_only():
     nine = {k: va.TABLE_5_22[k] for k in va.ANGLES}
     q, _, _ = IDENTIFIED.inverse(R=orientations(40, 5))
