@@ -203,6 +203,7 @@ def test_the_cure_of_an_unmeasured_move_is_the_length_that_nobody_measured(measu
     assert cure in str(export._moves_too_far([Path("printer.cfg")], movement, heights))
 
 
+@pytest.mark.wide
 def test_a_point_that_the_new_numbers_do_not_reach_does_not_count(tmp_path, monkeypatch):
     """The points of the bed reach a little further than touches that are more on one side. At the
     edge of reach of a real printer that ended an export with a traceback."""
@@ -281,7 +282,7 @@ def test_an_unmeasured_move_of_x_and_y_is_refused_without_force(tmp_path, monkey
     assert export_into(model, "rrf", files, touches).movement.shape < 0.5e-3
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_heights_are_never_given_up_for_x_and_y_that_nothing_measured(tmp_path):
     """Towers that are a millimetre and a third of a degree off: x and y must move, too."""
     zero = np.zeros(3)

@@ -14,6 +14,7 @@ import chains
 import numpy as np
 import pytest
 from distant_poses import distant_poses
+from marks import as_slow, keep
 from test_redundant_loops import hinged_wrist
 
 from parallel_cal.base.errors import ModelError
@@ -46,8 +47,8 @@ WITH_EFFECTS = ("delta54", "stewart42", "argos27")
 ROBOTS = [
     "delta54",
     "cable",
-    *(pytest.param(name, marks=pytest.mark.wide) for name in ("stewart42", "chain")),
-    *(pytest.param(name, marks=pytest.mark.slow) for name in ("argos27", "linear_delta")),
+    pytest.param("chain", marks=pytest.mark.wide),
+    *map(as_slow, ("argos27", "linear_delta", "stewart42")),
 ]
 
 
@@ -565,7 +566,7 @@ int main(void)
 
 @pytest.mark.wide
 @pytest.mark.skipif(shutil.which("setarch") is None, reason="no setarch")
-@pytest.mark.parametrize("name", WITH_EFFECTS)
+@pytest.mark.parametrize("name", keep(WITH_EFFECTS, "delta54"))
 def test_threads_share_nothing_and_get_equal_answers(name):
     kept = folder(name).name
     text = THREADS.replace("@", name).replace("ROBOT", name.upper())
@@ -714,8 +715,8 @@ def test_nan_and_infinity_are_a_status_and_nothing_else_is_answered():
     [
         "-O0",
         "-O3 -march=native -ffp-contract=fast",
-        "-Ofast -fno-finite-math-only",
-        "-O3 -ffp-contract=off",
+        as_slow("-Ofast -fno-finite-math-only"),
+        as_slow("-O3 -ffp-contract=off"),
     ],
 )
 def test_status_and_numbers_do_not_depend_on_the_options_of_the_compiler(options, tmp_path):

@@ -45,8 +45,17 @@ def targets(name):
 
 
 IN_EVERY_RUN = (("delta_nominal", "klipper"), ("identified", "rrf"))
+FURTHER = ("delta_nominal", "delta24 off")  # with one robot off its nominal and one as drawn
+
+
+def mark(name, target):
+    if (name, target) in IN_EVERY_RUN:
+        return ()
+    return pytest.mark.slow if name in FURTHER else pytest.mark.wide
+
+
 DELTAS = [
-    pytest.param(name, target, marks=() if (name, target) in IN_EVERY_RUN else pytest.mark.wide)
+    pytest.param(name, target, marks=mark(name, target))
     for name in (*NOMINAL, "identified", "delta24 off", "linear_delta off")
     for target in targets(name)
 ]

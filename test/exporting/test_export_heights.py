@@ -342,7 +342,17 @@ def test_the_export_finds_the_touches_that_the_model_was_fitted_on(tmp_path, mon
     hold = [word for pattern in UNKNOWN for word in ("--fix", pattern)]
     run("new", "--from", "config.g", "-o", "printer.yaml")
     run("import", "rrf", "map.csv", "config.g", "-o", "touches.json")
-    run("fit", "printer.yaml", "touches.json", "-o", "fitted.yaml", "--hold-out", "0.5", *hold)
+    run(
+        "fit",
+        "printer.yaml",
+        "touches.json",
+        "-o",
+        "fitted.yaml",
+        "--hold-out",
+        "0",
+        "--force",
+        *hold,
+    )
     assert read_model("fitted.yaml").history[-1]["dataset"]["files"] == ["touches.json"]
     said = "touches by the firmware's formula: "
     for place, model in ((folder, "fitted.yaml"), (tmp_path, "here/fitted.yaml")):
@@ -462,7 +472,7 @@ def test_a_setups_probe_takes_the_noise_that_somebody_states(tmp_path, capsys):
     assert (probe.sigma, probe.tip) == (4e-5, (0.0, 0.0, -1e-4))
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_real_printers_bed_gets_as_good_as_its_firmware_can(tmp_path):
     """54.0 um as it was; nine factors of the firmware, fitted by somebody else, reach 43.7 um."""
     names = ("config.g", "config-override.g")

@@ -16,6 +16,7 @@ import pytest
 import virtual_arm as va
 import yaml
 from arms import AXES
+from marks import keep
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.export import export
@@ -303,7 +304,9 @@ def test_the_inverse_from_any_seed_within_the_limits_is_pythons(name):
 
 @needs_compiler
 @pytest.mark.wide
-@pytest.mark.parametrize("name", ["argos27", "cable", "linear_delta", "slider_crank", "arm"])
+@pytest.mark.parametrize(
+    "name", keep(["argos27", "cable", "linear_delta", "slider_crank", "arm"], "argos27", "arm")
+)
 def test_joints_are_their_own_solution_from_their_own_seed(name):
     q, targets = poses(name)
     lines = [line("inverse", target, seed) for target, seed in zip(targets, q, strict=True)]

@@ -378,6 +378,7 @@ def test_the_bed_of_a_machine_with_zero_at_the_top_calibrates_where_it_is(tmp_pa
     assert touches_in(data, model.joints).explain_other_model(model) == ""
 
 
+@pytest.mark.wide
 def test_a_fit_finds_an_unstated_bed_and_the_export_leaves_it_there(tmp_path):
     """True: R 150.4, switches 0.3, -0.2 and 0.1 mm off, the bed at -900 where -920 is assumed."""
     files = towers_with(tmp_path, span(-720, 1))
