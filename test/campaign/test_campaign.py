@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from campaign_cells import SimulatedCell, model_of
+from marks import keep
 
 from parallel_cal.base.errors import ModelFileError
 from parallel_cal.campaign.campaign import Campaign
@@ -336,7 +337,7 @@ def test_what_was_found_is_not_written_where_the_error_at_unseen_poses_has_risen
     assert "rose by a factor of 2.2" in found.words
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_the_last_pose_of_all_is_under_the_load_where_both_would_take_two(tmp_path):
     goal = Goal(25, payload=2.0, warmer=10.0)
     one = Campaign(tmp_path, TEXT, goal, SimulatedCell())
@@ -386,6 +387,7 @@ def test_it_stops_measuring_for_what_no_pose_in_the_workspace_shows(tmp_path):
     assert "no poses can distinguish" in outcome.message
 
 
+@pytest.mark.wide
 def test_where_the_better_model_sees_it_outside_the_robot_goes_home_by_the_one_before(tmp_path):
     home, narrow = DELTA.mechanism.home.joints, parse_model(TEXT)
     middle = Kinematics(narrow).direct(home).position
@@ -600,6 +602,7 @@ class LimitSwitch(SimulatedCell):
         return np.minimum(super().joints(), [0.75, np.inf, np.inf])
 
 
+@pytest.mark.wide
 def test_a_campaign_that_a_limit_switch_stopped_goes_on_within_the_limit_that_was_stated(tmp_path):
     cell = LimitSwitch()
     one = campaign(tmp_path / "a", cell, Goal(poses=20))
@@ -628,7 +631,7 @@ def test_a_campaign_that_a_limit_switch_stopped_goes_on_within_the_limit_that_wa
     third.close()
 
 
-@pytest.mark.parametrize("folder", ["a", "afresh"])
+@pytest.mark.parametrize("folder", ["a", pytest.param("afresh", marks=pytest.mark.wide)])
 def test_a_robot_at_its_limit_switch_leaves_it_for_a_limit_that_was_stated_with_a_margin(
     tmp_path, folder
 ):
@@ -652,7 +655,10 @@ def test_a_robot_at_its_limit_switch_leaves_it_for_a_limit_that_was_stated_with_
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("state", ["planning", "moving", "sampling", "judging", "done"])
+@pytest.mark.parametrize(
+    "state",
+    keep(["planning", "moving", "sampling", "judging", "done"], "sampling", "judging"),
+)
 def test_killed_in_any_state_it_goes_on_and_measures_nothing_twice(tmp_path, state):
     times = {"planning": [0], "judging": [0, 1]}.get(state, [0, 4])
     cell, measured = SimulatedCell(), []

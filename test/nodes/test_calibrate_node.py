@@ -206,7 +206,7 @@ def test_pause_holds_the_robot_resume_goes_on_and_cancel_stops_it(desk):
     desk.client.wait(lambda: desk.status[0].state == "stopped", "the state after the goal")
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_robot_that_does_not_move_ends_the_goal_with_the_reason(desk):
     _, result = desk.goal()
     desk.wait_for(1)

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import tied_session as ts
 import virtual_setups as vs
+from marks import keep
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
@@ -640,7 +641,7 @@ def played(tmp_path, bag, by):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("by", keep([signal.SIGKILL, signal.SIGTERM], signal.SIGKILL))
 @mock.patch.dict(os.environ)
 def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_path, by):
     """After a crash they are there again; after an end in order, the file is named."""

@@ -94,7 +94,7 @@ def home(desk):
 
 
 # Told by the same words as another one; test_campaign.py brings them about without nodes.
-ALIKE = ("crossed_axes", "stuck_encoder", "swapped_target")
+ALIKE = ("crossed_axes", "slipped", "stuck_encoder", "swapped_target")
 
 
 @pytest.mark.wide

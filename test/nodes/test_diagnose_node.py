@@ -39,8 +39,7 @@ REPOSITORY = Path(__file__).parents[2]
 BAGS = REPOSITORY / "bags"
 BACKLASH, PRESET = BAGS / "delta_backlash", REPOSITORY / "config" / "delta_mockup_nominal.yaml"
 CANCELED, SUCCEEDED, ABORTED = 5, 4, 6
-QUICK = ("delta_gear_ripple",)
-REPLAYED = ("delta_backlash",)  # with the slow tests: `test_demo.py` replays it, too
+REPLAYED = ("delta_backlash",)  # `test_demo.py` replays it, too
 WITH_CONDITIONS = ("delta_compliance", "delta_thermal")  # payload and temperature as topics
 
 
@@ -52,11 +51,7 @@ def truth(name):
     return yaml.safe_load((BAGS / "truth" / f"{name}.yaml").read_text())
 
 
-def recordings(quick):
-    """Every recording once; those that are not quick only with the slow tests."""
-    names = sorted(path.stem for path in (BAGS / "truth").glob("*.yaml"))
-    rest = [name for name in names if name not in (*quick, *REPLAYED)]
-    return [*quick, *(pytest.param(name, marks=pytest.mark.slow) for name in rest)]
+RECORDINGS = sorted({path.stem for path in (BAGS / "truth").glob("*.yaml")} - {*REPLAYED})
 
 
 @pytest.fixture
@@ -128,8 +123,9 @@ def learn(session, name):
     return effects
 
 
-@pytest.mark.wide
-@pytest.mark.parametrize("name", recordings(QUICK))
+# Below, the node is asked for each step once; test_recordings_diagnosed.py has the verdicts.
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECORDINGS)
 def test_the_samples_of_a_recording_get_the_right_verdict_and_the_better_model(
     name, tmp_path, environment
 ):
@@ -330,7 +326,7 @@ def test_an_effect_can_be_named_with_what_is_known_of_it(loaded):
     assert "ratio" in bad.message
 
 
-@pytest.mark.parametrize("work", ["diagnosis", "effect"])
+@pytest.mark.parametrize("work", ["diagnosis", pytest.param("effect", marks=pytest.mark.wide)])
 def test_a_node_stopped_in_the_middle_of_its_work_ends_cleanly_and_writes_nothing(
     work, samples, tmp_path, environment
 ):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from marks import keep
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
@@ -54,7 +55,10 @@ def test_values_of_the_file_arrive_in_every_namespace(namespace, tmp_path):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("node", ["kinematics_node", "calibration_node", "virtual_cell_node"])
+@pytest.mark.parametrize(
+    "node",
+    keep(["kinematics_node", "calibration_node", "virtual_cell_node"], "calibration_node"),
+)
 def test_what_a_node_dumps_starts_it_again_with_the_same_parameters(node, tmp_path):
     """As `ros2 param dump` writes it: every parameter that the node lists, with its value."""
     namespace = use_private_domain()

@@ -825,7 +825,7 @@ def test_usual_names_of_columns_are_understood(folder, family):
     assert "Z" not in found["with_unit"]  # its unit is to be chosen
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path):
     data, folder, table = load_dataset(BAG), tmp_path / "s", tmp_path / "sides.csv"
     sides = np.column_stack([data.conditions[f"direction.joint{k}"] for k in (1, 2, 3)])

@@ -80,6 +80,7 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
     assert nodes_on(tmp_path) == []  # what was started is ended
 
 
+@pytest.mark.slow
 def test_a_campaign_is_started_paused_and_stopped_on_the_page(tmp_path):
     use_private_domain()
     file = tmp_path / "robot.yaml"
