@@ -19,7 +19,7 @@ from hypothesis import settings
 # The same examples in every run, and nothing stored on disk; more of them where wide tests run,
 # and most in `make nightly`.
 settings.register_profile("quick", deadline=None, derandomize=True, database=None, max_examples=30)
-settings.register_profile("wide", settings.get_profile("quick"), max_examples=200)
+settings.register_profile("wide", settings.get_profile("quick"), max_examples=100)
 settings.register_profile("nightly", settings.get_profile("quick"), max_examples=1000)
 
 

@@ -36,7 +36,7 @@ from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.table import UNITS, split_unit
 
 # `make wide` runs this file again, with more examples.
-pytestmark = [pytest.mark.wide] if settings.default.max_examples > 100 else []
+pytestmark = [pytest.mark.wide] if settings.default.max_examples >= 100 else []
 
 TABLE = "x [mm],y,z,q1,q2,t,k\n1,2,3,.1,.2,0,a\n2,3,4,.2,.3,1,b\n3,4,5,.2,.3,2,b\n"
 COLUMN_MAP = """joints:

@@ -26,6 +26,7 @@ import virtual_firmware
 import virtual_fleet
 import virtual_printer
 import virtual_shelf
+from marks import keep
 
 import parallel_cal as pc
 from bench.truth import age
@@ -126,7 +127,7 @@ def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
         assert any(like(line, p) for p in printed), f"not printed: {line}\n" + "\n".join(printed)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_the_printers_page_shows_what_its_commands_print(tmp_path):
     """Its virtual printer writes the maps; the commands run in order, and the heights of a bed
     never seen are right with the numbers that they put back."""
@@ -206,12 +207,12 @@ TUTORIALS = {
 }
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     "page",
-    [  # three robots, two of which also test_extra_legs.py and test_belts.py calibrate: a minute
-        pytest.param(page, marks=pytest.mark.slow if page == "cable_robot.md" else pytest.mark.wide)
-        for page in TUTORIALS
-    ],
+    # Robots of the others are calibrated by test_belts.py, test_chain.py, test_extra_legs.py and
+    # test_registered_only.py, too.
+    keep(TUTORIALS, "start.md", "hexapod.md", "argos.md"),
 )
 def test_a_tutorial_goes_from_raw_data_to_a_controller(page, tmp_path):
     for name in ("bags", "config", "examples", "real"):
@@ -239,7 +240,7 @@ def test_the_page_on_closed_chains_shows_what_its_commands_print(tmp_path):
     assert in_order("chains.md", tmp_path) == 3
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_the_page_on_discovery_shows_what_its_commands_print(tmp_path, monkeypatch):
     for name in ("bags", "config"):
         (tmp_path / name).symlink_to(ROOT / name)
@@ -371,6 +372,7 @@ def test_the_picture_of_the_front_page_has_colours_for_the_dark_mode_and_no_grou
     assert "#ffffff" not in picture
 
 
+@pytest.mark.wide
 def test_the_picture_of_the_rooms_is_that_of_the_code():
     file = ROOT / "docs" / "rooms.py"
     rooms = module_from_spec(spec := spec_from_file_location("rooms", file))

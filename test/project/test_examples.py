@@ -10,7 +10,9 @@ import pytest
 from test_docs import like
 
 ROOT = Path(__file__).parents[2]
-LONG = ("photograph_a_virtual_robot",)
+# Also tested: what a camera sees (test_camera.py), simulates (test_simulate.py), plans
+# (test_planning.py) and reports (test_report.py).
+LONG = ("photograph_a_virtual_robot", "plan_poses", "simulate_a_robot", "write_a_report")
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 pytestmark = pytest.mark.wide
 
