@@ -16,7 +16,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test plain nodes wide check lint types slow nightly bags bench faults mutants tables gallery real docs maintainer clean
+.PHONY: venv libraries demo test plain nodes wide check lint types slow nightly bags bench faults mutants tables gallery real docs maintainer clean
 
 venv: $(STAMP)
 
@@ -28,36 +28,47 @@ $(BIN)/uv pip install -q -p $(BIN)/python $(1) 2>/dev/null \
 	 || $(BIN)/python -m pip install -qq $(1)
 endef
 
-# Stamps of their own: a changed list of libraries must not rebuild the messages, which takes longest.
-$(STAMP): $(VENV)/.messages $(VENV)/.controller_messages $(VENV)/.transform_messages $(VENV)/.moveit_messages setup.cfg pyproject.toml
-	@echo "installing the libraries"
+# Wheels of messages: those of this package, and, for the tests only, those of which the index has
+# none: the action of robot controllers, TF, and the inverse kinematics of MoveIt.
+WHEELS := $(addprefix $(VENV)/wheels/,parallel_cal_msgs control_msgs tf2_msgs moveit_msgs)
+sources = $(wildcard $(1)/*.* $(1)/*/*.*)
+
+# The wheels are built at once, while the libraries are installed; of two installations in one
+# environment, uv lets one wait. A changed list of libraries leaves the wheels, which take longest.
+$(STAMP): $(VENV)/.created setup.cfg pyproject.toml \
+  $(foreach folder,msg_defs test/control_msgs test/tf2_msgs test/moveit_msgs,$(call sources,$(folder)))
+	@echo "installing the libraries and building the messages of ROS 2 (some minutes)"
+	@$(MAKE) -s --no-print-directory -j 5 libraries $(WHEELS)
+	@$(call install,--force-reinstall --no-deps $(WHEELS:%=%/*.whl))
+	@$(call install,$(WHEELS:%=%/*.whl))
+	@touch $@
+
+libraries:
 	@$(call install,$(LIBRARIES))
-	@touch $@
 
-$(VENV)/.messages: $(VENV)/.created $(wildcard msg_defs/*.* msg_defs/*/*.*)
-	@echo "installing ROS 2 and building the messages (about a minute)"
-	@$(call install,./msg_defs)
-	@touch $@
+# $(call wheel,SOURCES): into the folder of the target, which is there only when the wheel is.
+define wheel
+rm -rf $@ $@.part && { $(BIN)/uv build -q --wheel -p $(BIN)/python -o $@.part $(1) 2>/dev/null \
+	 || $(BIN)/python -m pip wheel -qq --no-deps -w $@.part $(1); } && mv $@.part $@
+endef
 
-# Messages of which there are no wheels, for the tests only: the action of robot controllers, TF, and
-# the inverse kinematics of MoveIt. They are built as msg_defs is, from the same list of tools.
-$(VENV)/.controller_messages: NEEDED := trajectory-msgs
-$(VENV)/.transform_messages: NEEDED := geometry-msgs
-$(VENV)/.moveit_messages: NEEDED := sensor-msgs
-$(VENV)/.controller_messages: PACKAGE := control_msgs
-$(VENV)/.transform_messages: PACKAGE := tf2_msgs
-$(VENV)/.moveit_messages: PACKAGE := moveit_msgs
-$(VENV)/.controller_messages $(VENV)/.transform_messages $(VENV)/.moveit_messages: $(VENV)/.created
-	@rm -rf build/$(PACKAGE) && mkdir -p build/$(PACKAGE)
-	@cp -R test/$(PACKAGE)/* msg_defs/pip_build build/$(PACKAGE)
-	@sed -e 's/parallel_cal_msgs/$(PACKAGE)/' -e 's/^version = .*/version = "0.0.0"/' \
+$(VENV)/wheels/parallel_cal_msgs: $(call sources,msg_defs)
+	@$(call wheel,./msg_defs)
+
+# They are built as msg_defs is, from the same list of tools.
+$(VENV)/wheels/control_msgs: NEEDED := trajectory-msgs
+$(VENV)/wheels/tf2_msgs: NEEDED := geometry-msgs
+$(VENV)/wheels/moveit_msgs: NEEDED := sensor-msgs
+$(VENV)/wheels/control_msgs: $(call sources,test/control_msgs)
+$(VENV)/wheels/tf2_msgs: $(call sources,test/tf2_msgs)
+$(VENV)/wheels/moveit_msgs: $(call sources,test/moveit_msgs)
+$(filter-out %/parallel_cal_msgs,$(WHEELS)):
+	@rm -rf build/$(@F) && mkdir -p build/$(@F)
+	@cp -R test/$(@F)/* msg_defs/pip_build build/$(@F)
+	@sed -e 's/parallel_cal_msgs/$(@F)/' -e 's/^version = .*/version = "0.0.0"/' \
 	  -e 's/ros-jazzy-geometry-msgs/ros-jazzy-$(NEEDED)/' \
-	  msg_defs/pyproject.toml > build/$(PACKAGE)/pyproject.toml
-	@$(call install,./build/$(PACKAGE))
-	@touch $@
-$(VENV)/.controller_messages: $(wildcard test/control_msgs/*.* test/control_msgs/*/*.*)
-$(VENV)/.transform_messages: $(wildcard test/tf2_msgs/*.* test/tf2_msgs/*/*.*)
-$(VENV)/.moveit_messages: $(wildcard test/moveit_msgs/*.* test/moveit_msgs/*/*.*)
+	  msg_defs/pyproject.toml > build/$(@F)/pyproject.toml
+	@$(call wheel,./build/$(@F))
 
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
