@@ -81,10 +81,11 @@ def mirrored(data):
 
 
 CASES = [
-    (
+    pytest.param(
         coupled(2, 1, -1),
         "joint2 and joint3 are coupled: joint3 = J3 + J2, where J2 and J3 are the readings in the "
         "columns of joint2 and joint3 (column map: joint3: {J3: 1, J2: 1}, with the names",
+        marks=pytest.mark.wide,
     ),
     pytest.param(
         coupled(5, 4, 1),
@@ -111,11 +112,7 @@ CASES = [
         "angles xyz, not a rotation vector (column map: angles: {col",
         marks=pytest.mark.slow,
     ),
-    pytest.param(
-        written("ZYZ", "xyz"),
-        "the angles are ZYZ, not xyz (column map: axes: ZYZ in place of xyz",
-        marks=pytest.mark.wide,
-    ),
+    (written("ZYZ", "xyz"), "the angles are ZYZ, not xyz (column map: axes: ZYZ in place of xyz"),
     pytest.param(written("ZYZ", "ZYX"), "or ZYZ in place of ZYX)", marks=pytest.mark.slow),
     pytest.param(written("xyz", "ZYZ"), "or xyz in place of ZYZ)", marks=pytest.mark.slow),
     pytest.param(written("ZXZ", "xyz"), "axes: ZXZ in place of xyz", marks=pytest.mark.slow),
