@@ -246,7 +246,7 @@ def test_what_fails_is_a_row_with_its_reason(question):
         diagnose_session(replace(question, version="9.9"), PlantedEffect("", 0.0, 0))
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_the_prediction_is_what_the_evidence_of_a_diagnosis_shows(question):
     """Of 60 sessions with play of the predicted size half, or 90 %, make it as probable as a
     diagnosis asks; a share of 60 is uncertain by 0.07."""
