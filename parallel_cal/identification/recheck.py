@@ -133,6 +133,15 @@ class Recheck:
         return words
 
     @property
+    def cure(self) -> str:
+        """What to do if the model is not updated."""
+        if self.verdict == DEVICE_MOVED:
+            return "keep MODEL, and put the measuring device or its target back"
+        if self.verdict == UNDECIDED:
+            return "measure more of the planned poses; until then, keep MODEL"
+        return "keep MODEL"
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What has changed, and what to do."""
         if self.verdict == UNCHANGED:

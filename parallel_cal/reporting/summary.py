@@ -75,10 +75,17 @@ def summary_table(lines: Sequence[Line]) -> Table:
     return Table(("", ""), rows)
 
 
+def list_step(label: str, step: str) -> Iterator[Line]:
+    """List the lines of a step, `reason: command`, or one of the two: a command has its own."""
+    reason, is_command, words = step.partition(f"{PROGRAM} ")
+    if reason:
+        yield Line(label, reason.removesuffix(": ") if is_command else step)
+    if is_command:
+        yield Line("" if reason else label, f"{PROGRAM} {words}", COMMAND)
+
+
 def name_files(line: Line, names: Mapping[str, str]) -> Line:
-    """Replace the placeholders of a command, such as MODEL, by the files of this run."""
-    if line.mark != COMMAND:
-        return line
+    """Replace the placeholders of a step, such as MODEL, by the files of this run."""
     words = [names.get(word, word) for word in line.text.split(" ")]
     return line._replace(text=" ".join(words))
 
@@ -213,10 +220,7 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     what = f", described best by an unknown {' and an unknown '.join(laws)}" if laws else ""
     yield Line("left:", f"{diagnosis.left}{what}")
     for number_of_step, step in enumerate(diagnosis.next_steps):
-        reason, is_command, words = step.partition(f": {PROGRAM} ")
-        yield Line("then:" if number_of_step else "next:", reason)
-        if is_command:
-            yield Line("", f"{PROGRAM} {words}", COMMAND)
+        yield from list_step("then:" if number_of_step else "next:", step)
 
 
 def describe_missing(diagnosis: Diagnosis) -> str:
