@@ -62,6 +62,7 @@ from parallel_cal.diagnosis.verdict import (
     leaves_more_than_noise,
 )
 from parallel_cal.identification.added_effects import limit_patterns
+from parallel_cal.identification.drift_test import TARGET_EFFECT
 from parallel_cal.identification.fit import (
     FitResult,
     Prepared,
@@ -81,6 +82,7 @@ from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
 )
+from parallel_cal.identification.recheck import DEVICE_MOVED, Recheck
 from parallel_cal.identification.registration import Registration
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
@@ -142,6 +144,9 @@ class Diagnosis(ShownInNotebook):
     doubted : Addition or None
         All effects found, judged as `add` judges them, if the robot or the device may cause some of
         them.
+    drift : Recheck or None
+        Of an update: whether the robot has drifted since its last calibration; None if nothing
+        tells it.
     """
 
     model: Model
@@ -169,6 +174,7 @@ class Diagnosis(ShownInNotebook):
     unseparated: tuple[str, ...] = ()
     addition: Addition | None = None
     doubted: Addition | None = None
+    drift: Recheck | None = None
 
     @property
     def leaves_an_error(self) -> bool:
@@ -211,6 +217,10 @@ class Diagnosis(ShownInNotebook):
             adds, discovers, advice = [], [], [STATE_THE_SIDES]
         commands = discovers + adds if self.verdict.suspected_of_law else adds + discovers
         refit = f"parallel-cal fit MODEL RECORDING{exclude} -o REFITTED.yaml"
+        if self.drift is not None and self.drift.verdict == DEVICE_MOVED:
+            # Other effects than that of the target may imitate the device at its new place.
+            adds = adds if TARGET_EFFECT in self.effects else []
+            commands = [self.drift.cure, *(f"if it stays there, {one}" for one in adds)]
         return (*self._list_checks("" if commands else refit), *commands, *advice)
 
     def _list_checks(self, refit: str) -> Iterator[str]:
@@ -396,7 +406,7 @@ def diagnose_fitted(
         return diagnose(model, dataset, options=options, progress=report)
     names = list_effects_to_test(fitted.start, (), ())
     place = fitted.given, fitted.start, fitted.dataset, fitted.registration
-    setup = _Setup(model, dataset, *place, names, options, report, fitted)
+    setup = _Setup(model, dataset, *place, names, options, report, fitted.drift, fitted)
     with naming_wrong_columns(setup.model, setup.dataset, setup.any_size):
         return setup.diagnose_without([])
 
@@ -407,7 +417,8 @@ class _Setup:
 
     `recorded` are the samples as given for the model that was `asked`; `dataset` those of the
     `model` with the device in its place, and `given` is that model before any fit. `names` are the
-    effects to test. `fitted` is the fit of the model to all these samples, if it is known.
+    effects to test. `drift` is that of an update, and `fitted` the fit of the model to all these
+    samples, if it is known.
     """
 
     asked: Model
@@ -419,6 +430,7 @@ class _Setup:
     names: list[str]
     options: FitOptions
     report: Progress
+    drift: Recheck | None = None
     fitted: FitResult | None = None
 
     @classmethod
@@ -443,6 +455,7 @@ class _Setup:
             list_effects_to_test(ready.start, also, effects),
             ready.options,
             report,
+            ready.drift,
         )
 
     @property
@@ -664,6 +677,7 @@ def _diagnose_trusted(
         addition=confirmed.addition,
         doubted=confirmed.doubted,
         explanation=found,
+        drift=setup.drift,
     )
 
 

@@ -25,6 +25,7 @@ a.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,8 +42,10 @@ from parallel_cal.identification.update import (
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 
+TARGET_EFFECT = "target_offset"
 SCALES = np.array([1 / 3, 1.0, 3.0, 10.0, 30.0])  # usual drifts; a collision is 30
 ZERO, TEMPERATURE, PART, DEVICE = "zero", "temperature", "part", "measuring device"
+TARGET = "target of the device"  # of the kind DEVICE
 HOMING, EVERYTHING = "zeros and temperature", "all parts"
 
 
@@ -59,14 +62,15 @@ class Change:
 @dataclass(frozen=True)
 class Columns:
     """Residuals (N, rows) in units of the noise, and their derivatives (N, rows, n + k) by the free
-    parameters, in tolerances, and by the displacements of the measuring device (m, rad), whose
-    usual sizes are `device` (k,). `rows` is the mean number of independent residuals of a sample.
+    parameters, in tolerances, and by the displacements (m, rad) of the measuring device and of its
+    target on the platform. `device` has the usual sizes of those of each, k together, by its name.
+    `rows` is the mean number of independent residuals of a sample.
 
     A device that a fit places anyway, because it is a sensor of the model, has no columns."""
 
     residual: np.ndarray
     jacobian: np.ndarray
-    device: np.ndarray
+    device: Mapping[str, np.ndarray]
     rows: float
 
     @classmethod
@@ -80,11 +84,12 @@ class Columns:
         jacobian = system.jacobian * model.table.tolerance[free]
         placed = any(p.group == "sensor" for p in model.table)
         if placed or not observations.measured[:, nq : nq + 6].any():
-            return cls(system.residual, jacobian, np.zeros(0), rows)
+            return cls(system.residual, jacobian, {}, rows)
         seen = np.where(observations.measured[:, None, :], C, 0.0)
         shift, turn = seen[:, :, nq : nq + 3], seen[:, :, nq + 3 : nq + 6]
-        columns, sizes = [], []
-        for bump in load_effect("device_bump").parameters(model.mechanism)[1:]:
+        columns, device = [], {}
+        bumps = load_effect("device_bump").parameters(model.mechanism)[1:]
+        for bump in bumps:
             kind, axis = bump.name.split("_")
             k = "xyz".index(axis)
             moved = shift[:, :, k]
@@ -92,10 +97,19 @@ class Columns:
                 across = np.cross(np.eye(3)[k], observations.x[:, nq : nq + 3])
                 moved = np.einsum("nij,nj->ni", shift, across) + turn[:, :, k]
             columns.append(moved)
-            sizes.append(bump.tolerance)
+        device[DEVICE] = np.array([one.tolerance for one in bumps])
+        target = load_effect(TARGET_EFFECT)
+        states_it = any(one.name == TARGET_EFFECT for one in model.effects)
+        if not states_it and not target.applies(model.mechanism):
+            offsets = target.parameters(model.mechanism)
+            R = model.configuration(observations.x).R
+            for offset in offsets:
+                along = R[:, :, "xyz".index(offset.name[-1])]
+                columns.append(np.einsum("nij,nj->ni", shift, along))
+            device[TARGET] = np.array([one.tolerance for one in offsets])
         displaced = linearise.whiten(C) @ np.stack(columns, axis=2)
         every = np.concatenate([jacobian, displaced], axis=2)
-        return cls(system.residual, every, np.array(sizes), rows)
+        return cls(system.residual, every, device, rows)
 
     def sum(self, begin: int = 0, end: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The information (n, n) and the pull (n,) of some samples."""
@@ -103,15 +117,16 @@ class Columns:
         return J.T @ J, -J.T @ self.residual[begin:end].reshape(-1)
 
 
-def list_changes(model: Model, device: np.ndarray) -> list[Change]:
-    """List what may have changed; `device` are the usual displacements (k,) of a measuring device
-    that the columns behind those of the parameters stand for."""
+def list_changes(model: Model, device: Mapping[str, np.ndarray]) -> list[Change]:
+    """List what may have changed; `device` has the usual displacements of a measuring device and of
+    its target that the columns behind those of the parameters stand for."""
     free = ~np.asarray(model.fixed)
+    displaced = sum(map(len, device.values()))
     tolerance, names = model.table.tolerance[free], np.array(model.table.names)[free]
 
     def change(name: str, kind: str, rows: np.ndarray) -> Change:
         columns = np.atleast_2d(rows)[:, free].T / tolerance[:, None]
-        return Change(name, kind, np.pad(columns, ((0, len(device)), (0, 0))))
+        return Change(name, kind, np.pad(columns, ((0, displaced), (0, 0))))
 
     *zeros, temperature = list_culprits(model)
     parts = list_drift_parts(model)
@@ -125,8 +140,11 @@ def list_changes(model: Model, device: np.ndarray) -> list[Change]:
         change(HOMING, HOMING, np.array([one.change for one in (*zeros, temperature)])),
         change(EVERYTHING, EVERYTHING, np.vstack([*parts.values()])),
     ]
-    if len(device):
-        found.append(Change(DEVICE, DEVICE, np.pad(np.diag(device), ((len(tolerance), 0), (0, 0)))))
+    begin = len(tolerance)
+    for name, sizes in device.items():
+        end = len(tolerance) + displaced - begin - len(sizes)
+        found.append(Change(name, DEVICE, np.pad(np.diag(sizes), ((begin, end), (0, 0)))))
+        begin += len(sizes)
     return [one for one in found if np.abs(one.factor).max() > 0]
 
 
@@ -169,8 +187,8 @@ class DriftTest:
     @classmethod
     def of(cls, model: Model, columns: Columns) -> DriftTest:
         """FitError if the model was never fitted."""
-        free, k = ~np.asarray(model.fixed), len(columns.device)
-        n = int(free.sum())
+        free = ~np.asarray(model.fixed)
+        n, k = int(free.sum()), sum(map(len, columns.device.values()))
         tolerance = model.table.tolerance[free]
         samples, variance = read_calibration(model)
         C0 = np.zeros((n + k, n + k))

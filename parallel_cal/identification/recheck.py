@@ -15,6 +15,8 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.drift_test import (
     DEVICE,
     SCALES,
+    TARGET,
+    TARGET_EFFECT,
     Columns,
     DriftTest,
     Look,
@@ -44,7 +46,7 @@ class Recheck:
         The probabilities after growing numbers of samples.
     names, kinds : tuple of str
         The possible changes (H): the zero of a joint, the temperature, a single parameter, all
-        zeros with the temperature, all parts, and the measuring device.
+        zeros with the temperature, all parts, the measuring device, and its target.
     certainty : float
         The probability at which it is decided.
     expected : ExpectedDrift, optional
@@ -136,7 +138,7 @@ class Recheck:
     def cure(self) -> str:
         """What to do if the model is not updated."""
         if self.verdict == DEVICE_MOVED:
-            return "keep MODEL, and put the measuring device or its target back"
+            return f"keep MODEL, and put the {self._moved_device} back"
         if self.verdict == UNDECIDED:
             return "measure more of the planned poses; until then, keep MODEL"
         return "keep MODEL"
@@ -147,10 +149,12 @@ class Recheck:
         if self.verdict == UNCHANGED:
             return ("the samples show no drift since the last calibration",)
         if self.verdict == DEVICE_MOVED:
+            part = {TARGET: f"the effect {TARGET_EFFECT}"}.get(
+                self._moved_device, "the sensor device_frame"
+            )
             return (
-                "the measuring device or its target moved since the last calibration, not the "
-                "robot: put it back, or add the sensor device_frame to the model, so that a fit "
-                "places it",
+                f"the {self._moved_device} moved since the last calibration, not the robot: put it "
+                f"back, or add {part} to the model, so that a fit places it",
             )
         if self.verdict == UNDECIDED:
             return (
@@ -158,7 +162,8 @@ class Recheck:
                 f"calibration ({self.progress}): measure more of the planned poses, and fit them "
                 "together with these",
             )
-        name, share = next((k, v) for k, v in self.parts.items() if k != DEVICE)
+        name = next(name for name in self.parts if name not in self._of_device)
+        share = self.parts[name]
         size = f"about {self.scale:.2g} times as far as usual (likeliest: {name}, {share:.0%})"
         words = f"since the last calibration the robot drifted {size}"
         if self.verdict == CHANGED:
@@ -175,6 +180,19 @@ class Recheck:
                 "calibration are worthwhile"
             )
         return (words,)
+
+    @property
+    def _of_device(self) -> list[str]:
+        """The names of the changes of the measuring device, the likeliest first."""
+        own = {name for name, kind in zip(self.names, self.kinds, strict=True) if kind == DEVICE}
+        return [name for name in self.parts if name in own]
+
+    @property
+    def _moved_device(self) -> str:
+        """What of the measuring device moved."""
+        likeliest = self._of_device[0]
+        known = self.parts[likeliest] >= self.certainty
+        return likeliest if known else "measuring device or its target"
 
     def _describe_further_samples(self) -> str:
         """Say whether more samples would tell a drift of the robot from a moved device."""
@@ -282,7 +300,9 @@ def check_certainty(certainty: float) -> None:
 
 def drift_prior(model: Model, found: Recheck) -> Prior:
     """Return the knowledge of today: the last calibration, widened by the drift that the samples
-    let expect. Raises FitError for a model without a covariance."""
+    let expect, unless they decide that the robot is as it was. Raises FitError for a model without
+    a covariance."""
     last = update_prior(model, 0.0)
-    drift = 0.0 if found.expected is None else found.expected.covariance
-    return Prior(last.names, last.mean, last.covariance + drift)
+    if found.expected is None or found.is_robot_unchanged:
+        return last
+    return Prior(last.names, last.mean, last.covariance + found.expected.covariance)
