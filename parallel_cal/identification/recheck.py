@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -14,18 +15,20 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.drift_test import (
     DEVICE,
+    PART,
     SCALES,
     TARGET,
     TARGET_EFFECT,
     Columns,
     DriftTest,
     Look,
+    Moved,
     probabilities,
 )
 from parallel_cal.identification.expected_drift import ExpectedDrift, expect_drift
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prior import Prior
-from parallel_cal.identification.update import update_prior
+from parallel_cal.identification.update import SHOWN_SIGMAS, update_prior
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -51,6 +54,10 @@ class Recheck:
         The probability at which it is decided.
     expected : ExpectedDrift, optional
         What all samples let expect of the parameters, of an update and of further samples.
+    moved : tuple of Moved
+        By how much the parts of the likeliest change have changed, the most significant first.
+    titles : Mapping
+        Names of parameters in words.
     """
 
     looks: tuple[Look, ...]
@@ -58,6 +65,8 @@ class Recheck:
     kinds: tuple[str, ...]
     certainty: float = CERTAINTY
     expected: ExpectedDrift | None = None
+    moved: tuple[Moved, ...] = ()
+    titles: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def _is_device(self) -> np.ndarray:
@@ -131,8 +140,17 @@ class Recheck:
         """How far the decision is, in a few words."""
         words = f"that something has changed: {1 - self.outcomes[UNCHANGED]:.1%}"
         if self.verdict == UNDECIDED:
-            words += f", least excluded: {self.looks[-1].rival[0]}"
+            name = self.looks[-1].rival[0]
+            words += f", least excluded: {self.titles.get(name, name)}"
         return words
+
+    @property
+    def shown(self) -> tuple[Moved, ...]:
+        """The parts that have changed by more than their uncertainty allows; none if nothing has
+        changed, or if it is not decided."""
+        if self.verdict in (UNCHANGED, UNDECIDED):
+            return ()
+        return tuple(one for one in self.moved if abs(one.value) > SHOWN_SIGMAS * one.sigma)
 
     @property
     def cure(self) -> str:
@@ -163,7 +181,7 @@ class Recheck:
                 "together with these",
             )
         name = next(name for name in self.parts if name not in self._of_device)
-        share = self.parts[name]
+        share, name = self.parts[name], self.titles.get(name, name)
         size = f"about {self.scale:.2g} times as far as usual (likeliest: {name}, {share:.0%})"
         words = f"since the last calibration the robot drifted {size}"
         if self.verdict == CHANGED:
@@ -218,6 +236,7 @@ class Recheck:
             },
             "scale": self.scale,
             "parts": self.parts,
+            "moved": [one._asdict() for one in self.shown],
             "growth": expected and expected.growth,
             "error_if_kept": expected and expected.kept,
             "more_samples": expected and expected.more_samples,
@@ -289,7 +308,10 @@ def weigh_changes(
     expected = expect_drift(model, test, looks[-1], information, pull, certainty)
     kinds = tuple(one.kind for one in test.changes)
     names = tuple(one.name for one in test.changes)
-    return Recheck(tuple(looks), names, kinds, certainty, expected)
+    k = int(looks[-1].changed.sum(axis=1).argmax())
+    moved = test.estimate(k, SCALES[looks[-1].changed[k].argmax()], A, b)
+    titles = {one.name: one.parts[0].title for one in test.changes if one.kind == PART}
+    return Recheck(tuple(looks), names, kinds, certainty, expected, moved, titles)
 
 
 def check_certainty(certainty: float) -> None:

@@ -25,6 +25,7 @@ from parallel_cal.reporting.readable import (
     format_percent,
     number,
     unit_of,
+    value_unit,
     with_sigma,
 )
 
@@ -34,12 +35,14 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.noise import NoiseLevel
     from parallel_cal.identification.estimate import Estimate
     from parallel_cal.identification.noise_floor import NoiseFloor
+    from parallel_cal.identification.recheck import Recheck
     from parallel_cal.model.model import Model
     from parallel_cal.posterior.scene import Scene
     from parallel_cal.session.steps import Step
 
 Writer = Callable[[Summary, Mapping[str, float]], str]
 PROGRAM = "parallel-cal"
+MAX_MOVED = 4  # parts that an update names
 HELD_OUT = " (rms at held-out poses)"
 IMITATES = "the error falls with it, but something else causes it"
 STATED = (
@@ -111,6 +114,7 @@ def _summarize_fit(
     write = _writer(result.model, after, noise)
     yield Line("before:", write(*before) + HELD_OUT)
     yield Line("after:", write(after, result.rms_sigmas(result.held_out)), FOUND)
+    yield from _state_moved(result.drift)
     yield _state_noise(write, result.simulated_noise, result, result.estimate)
     if (odd := result.outliers) is not None:
         verb = "contradicts" if len(odd.titles) == 1 else "contradict"
@@ -154,6 +158,20 @@ def _judge_by_revisits(judged: FitResult | Comparison) -> NoiseLevel:
 
     scene = see(judged) if isinstance(judged, FitResult) else judged.scene
     return NoiseLevel.of(scene, Field.of(scene), structured=False)
+
+
+def _state_moved(drift: Recheck | None) -> Iterator[Line]:
+    """State how far the parts that an update found changed are from the last calibration."""
+    texts = []
+    for one in drift.shown[:MAX_MOVED] if drift is not None else ():
+        unit, factor = value_unit(one.unit)
+        size = with_sigma(one.value, one.sigma, factor).replace("±", "+-")
+        sigmas = f"{abs(one.value) / one.sigma:.0f} sigma"
+        texts.append(f"{one.title} by {size} {unit} ({sigmas})")
+    if drift is not None and (more := len(drift.shown) - MAX_MOVED) > 0:
+        texts.append(f"{more} more")
+    if texts:
+        yield Line("moved:", f"{', '.join(texts)} since the last calibration", FOUND)
 
 
 def _state_noise(
@@ -206,6 +224,7 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
         errors = write(best.held_out.summary, best.rms_sigmas(best.held_out))
         sized = [describe_largest_joint(best.model, name) for name in diagnosis.effects]
         yield Line("with it:", f"{errors} with {' and '.join(sized)}", FOUND)
+    yield from _state_moved(diagnosis.drift)
     yield _state_noise(write, best.simulated_noise, best, best.estimate)
     likely, imitators = _divide(diagnosis.missing)
     for cause in likely:

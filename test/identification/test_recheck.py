@@ -25,6 +25,7 @@ from parallel_cal.identification.recheck import recheck
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.reporting.summary import summarize
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual.stewart import Stewart
 
@@ -110,6 +111,9 @@ def test_a_zero_that_jumped_is_named_after_few_samples():
     samples, verdict = found.decision
     assert (samples <= 6, verdict) == (True, "drifted")
     assert "likeliest: zero of joint2" in found.warnings[0]
+    [moved] = found.shown
+    assert (moved.title, moved.unit) == ("zero of joint2", "rad")
+    assert abs(moved.value + 2e-3) < 3 * moved.sigma < 1e-3  # the readings shifted by 2 mrad
     assert found.expected.growth < 2
     assert found.document()["looks"][-1]["drifted"] == pytest.approx(found.outcomes["drifted"])
 
@@ -119,6 +123,7 @@ def test_without_a_drift_the_robot_is_said_to_be_unchanged_before_all_poses_are_
     assert found.decision[1] == "unchanged"
     assert 4 <= found.decision[0] < 20
     assert not found.is_shown
+    assert not found.shown
     surer = replace(found, certainty=0.999)
     assert surer.decision[0] > found.decision[0]
     assert found.warnings == ("the samples show no drift since the last calibration",)
@@ -273,6 +278,11 @@ def test_a_target_that_was_moved_is_no_drift_of_the_robot_for_fit_and_diagnose_a
     assert result.drift.verdict == "device_moved"
     assert result.drift.warnings[0].startswith("the target of the device moved")
     assert acceptance(result).cure == "keep MODEL, and put the target of the device back"
+    for moved, true in zip(result.drift.shown, (5e-4, 3e-4), strict=True):
+        assert abs(moved.value - true) < 3 * moved.sigma < 3e-5
+    [line] = [one.text for one in summarize(result) if one.label == "moved:"]
+    assert line.startswith("shift along x of the target of the device by 0.50")
+    assert line.endswith(" sigma) since the last calibration")
     found = pc.diagnose(model, today, update=True)
     assert found.effects == ("target_offset",)
     assert found.next_steps[0] == acceptance(result).cure
@@ -287,3 +297,18 @@ def test_samples_that_the_model_was_fitted_to_are_not_counted_again_as_an_update
     for again in (pc.fit, pc.diagnose):
         with pytest.raises(FitError, match="would count them twice: give the model from before"):
             again(updated.model, today, update=True)
+
+
+def test_a_part_that_moved_is_named_in_words_with_its_size():
+    model, away = calibrated(), 1e-3
+    rod = "chain2.Lb"
+    values = model.values + away * np.isin(model.table.names, [rod])
+    r = np.random.default_rng(1).uniform((-0.06, -0.06, 0.14), (0.06, 0.06, 0.26), (16, 3))
+    q = pc.Kinematics(model.with_values(values)).inverse(r).joints
+    today = replace(session(16, np.random.default_rng(1)), q=q, r=r)
+    found = recheck(model, today)
+    assert next(iter(found.parts)) == rod
+    assert "likeliest: rod length of chain 2" in found.warnings[0]
+    assert found.shown[0].title == "rod length of chain 2"
+    assert found.shown[0].value == pytest.approx(away, abs=3 * found.shown[0].sigma)
+    assert found.document()["moved"][0]["unit"] == "m"
