@@ -99,16 +99,7 @@ def acceptance(
     squares = np.array([_squared(new, before), _squared(new, after)])
     known = np.isfinite(squares).all(axis=0)
     if not known.any():
-        used = (new.before if old is None else old.after).summary
-        why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
-        why += ": without a validation error nothing proves that the new model is better"
-        cure = "measure more poses" if new.options.hold_out else "hold poses out (--hold-out)"
-        if new.options.hold_out * len(np.unique(new.dataset.pose_id)) > 1:
-            cure += ", or hold out one pose at a time (--hold-out 0.001)"
-            why += f". {cure[0].upper()}{cure[1:]}"
-        if new.implausible:
-            why, cure = _describe_imitation(new, old), DIAGNOSE
-        return Acceptance(used, new.after.summary, False, why, cure=cure)
+        return _refuse_unjudged(new, old)
     then, now = before.select(known).summary, after.select(known).summary
     foreign, check = _describe_foreign_model(new, now)
     if why := _describe_imitation(new, old):
@@ -154,6 +145,20 @@ def acceptance(
         f"{verb}{change} ({format_errors(now, then)}{factor}){advice}{foreign}",
         cure=check or cure,
     )
+
+
+def _refuse_unjudged(new: FitResult, old: FitResult | None) -> Acceptance:
+    """Refuse a model without a validation error."""
+    used = (new.before if old is None else old.after).summary
+    why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
+    why += ": without a validation error nothing proves that the new model is better"
+    cure = "measure more poses" if new.options.hold_out else "hold poses out (--hold-out)"
+    if new.options.hold_out * len(np.unique(new.dataset.pose_id)) > 1:
+        cure += ", or hold out one pose at a time (--hold-out 0.001)"
+        why += f". {cure[0].upper()}{cure[1:]}"
+    if new.implausible:
+        why, cure = _describe_imitation(new, old), DIAGNOSE
+    return Acceptance(used, new.after.summary, False, why, cure=cure)
 
 
 def _describe_useless_update(new: FitResult, drift: Recheck) -> str:
