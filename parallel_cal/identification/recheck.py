@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.drift_test import (
@@ -182,13 +183,14 @@ class Recheck:
             )
         name = next(name for name in self.parts if name not in self._of_device)
         share, name = self.parts[name], self.titles.get(name, name)
-        size = f"about {self.scale:.2g} times as far as usual (likeliest: {name}, {share:.0%})"
+        likeliest = f"likeliest: {name}, {format_percent(share)}"
+        size = f"about {self.scale:.2g} times as far as usual ({likeliest})"
         words = f"since the last calibration the robot drifted {size}"
         if self.verdict == CHANGED:
-            robot, device = self.outcomes[DRIFTED], self.outcomes[DEVICE_MOVED]
+            robot, device = (format_percent(self.outcomes[one]) for one in (DRIFTED, DEVICE_MOVED))
             words = (
-                f"either the robot drifted ({robot:.0%}), {size}, or the measuring device moved "
-                f"({device:.0%}); the samples do not tell which. Measure a fixed target as at the "
+                f"either the robot drifted ({robot}), {size}, or the measuring device moved "
+                f"({device}); the samples do not tell which. Measure a fixed target as at the "
                 "calibration: if it is where it was, the device stands, and the robot drifted. "
                 f"{self._describe_further_samples()}"
             )

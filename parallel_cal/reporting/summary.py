@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.diagnosis.thresholds import CREDIBLE
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult
@@ -22,7 +23,6 @@ from parallel_cal.reporting.readable import (
     LABEL,
     ODD,
     error_unit,
-    format_percent,
     number,
     unit_of,
     value_unit,

@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 from virtual_setups import random_delta
 
 import parallel_cal as pc
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.acceptance import acceptance
@@ -234,8 +235,8 @@ def test_an_update_that_is_expected_to_be_worse_is_not_written(moved, samples, s
 def test_an_answer_that_is_not_decided_names_both_causes_and_what_tells_them_apart():
     found = recheck(calibrated(), session(4, np.random.default_rng(4), zeros=(6e-4,) * 3))
     robot, device = found.outcomes["drifted"], found.outcomes["device_moved"]
-    assert f"the robot drifted ({robot:.0%})" in found.warnings[0]
-    assert f"the measuring device moved ({device:.0%})" in found.warnings[0]
+    assert f"the robot drifted ({format_percent(robot)})" in found.warnings[0]
+    assert f"the measuring device moved ({format_percent(device)})" in found.warnings[0]
     assert "Measure a fixed target" in found.warnings[0]
     more = found.document()["more_samples"]
     assert 0 < more < 10
