@@ -12,6 +12,7 @@ from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.model.effect import Effect
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
 from parallel_cal.reporting.blocks import Cell, Table
@@ -100,7 +101,12 @@ def describe_result_errors(after: Summary, before: Summary | None, noise: Summar
 
 
 def _summarize_step(step: Step) -> Iterator[Line]:
-    yield from _summarize_fit(step.result, (step.errors_to_beat, step.sigmas_to_beat))
+    for line in _summarize_fit(step.result, (step.errors_to_beat, step.sigmas_to_beat)):
+        yield line
+        if line.label == "after:" and step.name == "add":
+            added = str(step.model.history[-1]["effect"]).split("+")
+            sized = " and ".join(describe_effect(step.model, name) for name in added)
+            yield Line("with:", sized, FOUND)
 
 
 def _summarize_fit(
@@ -188,10 +194,38 @@ def _state_noise(
     return Line("noise:", shown + STATED * (small and not judged.observations.noise_assumed))
 
 
-def describe_largest_joint(model: Model, effect: str) -> str:
-    """Name an effect of a model, with the joint in which it is largest and its sizes,
-    `backlash (largest in joint2: 2.1 arcmin, others up to 0.9)`; the name alone if its parameters
-    do not belong to all joints in one unit."""
+def describe_effect(model: Model, effect: str, sigmas: Mapping[str, float] | None = None) -> str:
+    """Name an effect of a model, with what its numbers say to people: `backlash (largest in joint2:
+    2.1 arcmin, others up to 0.9)`, `gear_transmission_error (ratio 17.24 +- 0.20)`. `sigmas` are
+    those of its settings, by the names that these have in a diagnosis."""
+    sizes, settings = _describe_largest_joint(model, effect), list_settings(model, effect)
+    known = {key.rpartition(".")[2]: sigma for key, sigma in (sigmas or {}).items()}
+    shown = [sizes] if sizes else []
+    for key, (values, unit) in settings.items():
+        name, factor = value_unit(unit)
+        text = " to ".join(f"{factor * value:.5g}" for value in sorted({min(values), max(values)}))
+        if key in known and len(values) == 1:
+            text = with_sigma(min(values), known[key], factor).replace("±", "+-")
+        shown.append(f"{key} {text} {'' if name == '1' else name}".rstrip())
+    return f"{effect} ({'; '.join(shown)})" if shown else effect
+
+
+def list_settings(model: Model, effect: str) -> dict[str, tuple[set[float], str]]:
+    """List the numbers of an effect that a diagnosis searches for, such as a lead or a ratio: their
+    values in all joints and their unit, by name."""
+    if type(load_effect(effect)).scan is Effect.scan:
+        return {}
+    found = dict[str, tuple[set[float], str]]()
+    chosen = model.settings_of(effect)
+    for p, value, is_one in zip(model.table, model.values.tolist(), chosen, strict=True):
+        if is_one:
+            found.setdefault(p.name.rpartition(".")[2], (set(), p.unit))[0].add(value)
+    return found
+
+
+def _describe_largest_joint(model: Model, effect: str) -> str:
+    """Name the joint in which an effect is largest, and its sizes; empty if its parameters do not
+    belong to all joints in one unit."""
     sizes, units = dict.fromkeys(model.joints, 0.0), set[str]()
     for p, value, fixed in zip(model.table, model.values, model.fixed, strict=True):
         own, _, rest = p.name.partition(".")
@@ -200,11 +234,11 @@ def describe_largest_joint(model: Model, effect: str) -> str:
             units.add(p.unit)
             sizes[joint] = math.hypot(sizes[joint], value)
     if len(sizes) < 2 or units not in ({"m"}, {"rad"}):
-        return effect
+        return ""
     unit, factor = error_unit(units.pop())
     *_, second, first = sorted(sizes, key=sizes.__getitem__)
     most, others = (f"{factor * sizes[name]:.3g}" for name in (first, second))
-    return f"{effect} (largest in {first}: {most} {unit}, others up to {others})"
+    return f"largest in {first}: {most} {unit.replace('µ', 'u')}, others up to {others}"
 
 
 def count_revisits(noise: NoiseFloor) -> str:
@@ -222,7 +256,8 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     yield Line("now:", write(now, base.rms_sigmas(base.held_out)) + HELD_OUT)
     if diagnosis.effects:
         errors = write(best.held_out.summary, best.rms_sigmas(best.held_out))
-        sized = [describe_largest_joint(best.model, name) for name in diagnosis.effects]
+        known = {name: one.sigma for name, one in diagnosis.explanation.settings.items()}
+        sized = [describe_effect(best.model, name, known.get(name)) for name in diagnosis.effects]
         yield Line("with it:", f"{errors} with {' and '.join(sized)}", FOUND)
     yield from _state_moved(diagnosis.drift)
     yield _state_noise(write, best.simulated_noise, best, best.estimate)
