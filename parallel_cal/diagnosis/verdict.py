@@ -419,7 +419,9 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
         elif found.structure.has_structure:
             advice.append("neighbouring residuals are similar: look at the map")
         return Verdict("at_noise", words, remarks=(*advice, *noise))
-    nothing, remarks = "no effect of the catalogue explains it", list[str]()
+    known = " and ".join(effect.name for effect in found.base.fitted.model.effects)
+    beside = known and f", beside {known} of the model,"  # what these leave was there before them
+    nothing, remarks = f"no effect of the catalogue{beside} explains it", list[str]()
     if found.refused:
         nothing, remarks = "no effect explains it well", [*refused]
     elif found.like_drift:

@@ -17,6 +17,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.summary import summarize
+from parallel_cal.session.steps import add
 from parallel_cal.virtual import robot as vr
 
 PLAY = Chosen("backlash")
@@ -121,3 +122,21 @@ def test_an_unknown_law_of_one_joint_is_named_with_this_joint():
     assert [*found.explanation.laws] == ["law of joint2"]
     [left] = [line.text for line in summarize(found) if line.label == "left:"]
     assert left.startswith("yes, described best by an unknown law of joint2 (")
+
+
+def test_what_the_effects_of_a_verdict_left_is_unexplained_once_the_model_has_them():
+    model, data = with_law(
+        lambda z, sides: 1e-3 * sides[:, 1] + 5e-4 * np.tanh(2 * z[:, 0] * z[:, 2])
+    )
+    first = diagnose(model, data, effects=["backlash"])
+    assert (first.effects, first.verdict.word, first.left) == (
+        ("backlash",),
+        "partly_explained",
+        "yes",
+    )
+    better = add(model, "backlash", data, force=True).model
+    second = diagnose(better, data, effects=["device_axes"])
+    assert (second.effects, second.verdict.word, second.left) == ((), "unexplained", "yes")
+    assert "no effect of the catalogue, beside backlash of the model, explains it" in (
+        second.verdict.summary
+    )
