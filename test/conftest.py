@@ -155,5 +155,9 @@ def run_cli(capsys):
     return run
 
 
-os.environ["ROS_HOME"] = tempfile.mkdtemp(prefix="ros_home")
-os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="state")
+@pytest.fixture(scope="session", autouse=True)
+def temporary_folders(tmp_path_factory):
+    """Temporary files, logs and states of all tests lie where pytest removes them."""
+    tempfile.tempdir = str(tmp_path_factory.mktemp("t"))
+    os.environ["ROS_HOME"] = tempfile.mkdtemp(prefix="ros_home")
+    os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="state")

@@ -12,6 +12,8 @@ from parallel_cal.posterior.scene import Scene
 # Likelier by less than five nats, an unknown law is no reason against a known effect.
 LOG_PRIOR = LOG_ODDS - 5.0
 CENTRES = 30
+ONE_JOINT = "law of one joint"
+ALL_LENGTHS = (0.7, 1.2, 2.5)  # of functions of all readings, in their standard deviations
 # Lengths of a law of one joint (in standard deviations of its readings), and their centres. The
 # finest follows scratches and chirping gears; without it waves of a known effect would describe
 # them best.
@@ -105,11 +107,16 @@ def _joint_laws(scene: Scene) -> Iterator[Block | None]:
         q = q - np.einsum("nij,nj->ni", np.linalg.pinv(J), residual)
     own = _of_each_own(scene, J, q, OWN_LENGTHS)
     yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
-    functions = [smooth(q, length, CENTRES) for length in (0.7, 1.2, 2.5)]
+    functions = [smooth(q, length, CENTRES) for length in ALL_LENGTHS]
     whole = (_flat(scene, J, one) for one in functions)
     yield Block.of(scene, "law of all joint readings", LAW, LOG_PRIOR, whole)
     single = (_flat(scene, J[:, :, [i]], one) for i in range(n) for one in functions)
-    yield Block.of(scene, "law of one joint", LAW, LOG_PRIOR, single)
+    yield Block.of(scene, ONE_JOINT, LAW, LOG_PRIOR, single)
+
+
+def name_law(name: str, setting: int, joints: Sequence[str]) -> str:
+    """The name of a law for people, by its setting: `law of joint2` for the law of one joint."""
+    return f"law of {joints[setting // len(ALL_LENGTHS)]}" if name == ONE_JOINT else name
 
 
 def _laws_of_conditions(scene: Scene) -> Iterator[Block | None]:

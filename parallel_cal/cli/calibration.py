@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -34,8 +34,10 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
+    from parallel_cal.identification.outliers import Outliers
     from parallel_cal.model.model import Model
     from parallel_cal.recordings.dataset import Dataset
+    from parallel_cal.reporting.summary import Line
     from parallel_cal.session.steps import Step
 
 
@@ -63,7 +65,7 @@ def fit(
     step = fitted(
         start, dataset, force, options=options, progress=console.progress, effects=effect or ()
     )
-    _finish(step, _Run(model, bags, data, output, parameters, details), as_json)
+    _finish(step, Given(model, bags, data, options.update), output, parameters, details, as_json)
 
 
 @with_options
@@ -87,7 +89,7 @@ def add(
     start, dataset = read_model_and_data(model, bags, data)
     options = replace(options, insist=force)
     step = add(start, effect, dataset, force, options=options, progress=console.progress)
-    _finish(step, _Run(model, bags, data, output, parameters, details), as_json)
+    _finish(step, Given(model, bags, data, options.update), output, parameters, details, as_json)
 
 
 @with_options
@@ -111,7 +113,7 @@ def remove(
     start, dataset = read_model_and_data(model, bags, data)
     options = replace(options, insist=force)
     step = remove(start, effect, dataset, force, options=options, progress=console.progress)
-    _finish(step, _Run(model, bags, data, output, parameters, details), as_json)
+    _finish(step, Given(model, bags, data, options.update), output, parameters, details, as_json)
 
 
 def read_model_and_data(
@@ -125,99 +127,110 @@ def read_model_and_data(
 
 
 @dataclass(frozen=True)
-class _Run:
-    """What a command was given, and what it shall print."""
+class Given:
+    """What a command was given and the commands that it proposes need, too: the file of the model,
+    the recordings, the options of --data, and whether the model is the prior (--update)."""
 
-    model: Path
+    path: Path
     bags: list[Path]
-    data: list[str] | None
-    output: Path | None
-    parameters: bool
-    details: bool
+    data: list[str] | None = None
+    update: bool = False
+
+    @property
+    def recording(self) -> list[str]:
+        """The recordings as arguments, with all that must be known to read and to fit them."""
+        options = [f"--data={item}" for item in self.data or []]
+        return [*map(str, self.bags), *options, *(["--update"] if self.update else [])]
+
+    @property
+    def without_exclusions(self) -> Given:
+        """The same without the samples that were excluded."""
+        kept = [item for item in self.data or [] if not item.startswith("exclude=")]
+        return replace(self, data=kept)
+
+    def fill(
+        self,
+        lines: Iterable[Line],
+        model: Model,
+        files: Mapping[str, str] | None = None,
+        folders: Sequence[Path] = (),
+    ) -> list[Line]:
+        """Replace the placeholders of lines, such as MODEL and those of further `files`, by the
+        files of this run; `folders` have further effects."""
+        from parallel_cal.reporting.summary import PROGRAM, name_files
+
+        names = {
+            PROGRAM: write_program(model, folders),
+            "MODEL": shlex.quote(str(self.path)),
+            "RECORDING": shlex.join(self.recording),
+        }
+        return [name_files(line, {**names, **(files or {})}) for line in lines]
 
 
-def _finish(step: Step, run: _Run, as_json: bool) -> None:
+def _finish(
+    step: Step, given: Given, output: Path | None, parameters: bool, details: bool, as_json: bool
+) -> None:
     """Write the model, then print the result, so that a failed write prints no success."""
     from parallel_cal.model.file.modelfile import model_hash, replace_model
 
-    output = run.output
     written = {}
-    following = _say_what_follows(step, run.model)
     if output is not None:
         # `export` finds the touches of a printer's bed again by the paths of the recordings.
         *earlier, last = step.model.history
-        dataset = last["dataset"] | {"files": [path.as_posix() for path in run.bags]}
+        dataset = last["dataset"] | {"files": [path.as_posix() for path in given.bags]}
         model = replace(step.model, history=(*earlier, last | {"dataset": dataset}))
         replace_model(model, output)
         written = {"output": str(output), "hash": model_hash(model)}
-        following = command_line(["diagnose", output], model, run.bags, run.data)
-    updates = ["--update"] if step.result.options.update else []
-    if written and updates and step.name == "fit":  # the new model knows these samples
-        following = command_line(["diagnose", run.model], model, run.bags, run.data, *updates)
-    if implausible := bool(step.result.implausible):
-        following = command_line(["diagnose", run.model], step.model, run.bags, run.data, *updates)
-    is_command, reason = bool(written) or implausible, ""
-    if (odd := step.result.outliers) is not None:
-        from parallel_cal.model.words import join_words
-
-        them = "it" if len(odd.numbers) == 1 else "them"
-        reason = f"check sample {join_words(odd.titles)}, and fit without {them} if wrong"
-        following, is_command = _write_refit(step, run, odd.numbers)
     console.progress("", 1.0)
-    console.warn(step.warnings, brief=not run.details)
+    console.warn(step.warnings, brief=not details)
     if as_json:
         return console.emit(step.document() | written)
     from parallel_cal.reporting.results import describe
 
-    console.show(describe(step), list_options(run.details, run.parameters))
+    console.show(describe(step), list_options(details, parameters))
     if written:
         console.say(f"written: {output} (sha256 {written['hash'][:12]})")
-    print_summary(step, following, is_command, reason)
+    if step.result.outliers is not None:  # the proposed command excludes samples itself
+        given = given.without_exclusions
+    print_summary(step, step.model, given, _find_next_step(step, given, output))
 
 
-def _write_refit(step: Step, run: _Run, wrong: Sequence[int]) -> tuple[str, bool]:
-    """Write the command that fits again without some samples, or say how to change the last one if
-    it had options or effects of its own, and whether it is a command."""
-    excluded = ",".join(map(str, sorted({*step.result.dataset.excluded, *wrong})))
+def _find_next_step(step: Step, given: Given, output: Path | None) -> str:
+    """Say what to do after a step whose model was written to a file, or to none."""
+    result, drift = step.result, step.result.drift
+    if result.outliers is not None:
+        return _describe_refit(step, result.outliers, output)
+    if step.acceptance.against and (output is None or result.implausible):
+        return step.acceptance.cure
+    if output is None and drift is not None and not drift.is_shown:
+        return drift.cure
+    if output is None:
+        return "the same command with -o FILE, which writes the model"
+    if not given.update:
+        return f"parallel-cal diagnose {shlex.quote(str(output))} RECORDING"
+    if step.name == "fit":  # the new model knows these samples
+        return "parallel-cal diagnose MODEL RECORDING"
+    return f"use {output}: it is the last calibration of the next --update"
+
+
+def _describe_refit(step: Step, odd: Outliers, output: Path | None) -> str:
+    """Say how to fit again without the samples that contradict all others: by a command, or by a
+    change of the last one if it had options or effects of its own."""
+    from parallel_cal.model.words import join_words
+
+    them = "it" if len(odd.numbers) == 1 else "them"
+    reason = f"check sample {join_words(odd.titles)}, and fit without {them} if wrong"
+    excluded = ",".join(map(str, sorted({*step.result.dataset.excluded, *odd.numbers})))
     options = replace(step.result.options, insist=False)
     if step.name != "fit" or "effect" in step.model.history[-1] or options != FitOptions():
-        return f"the same command with --data exclude={excluded}", False
-    data = [item for item in run.data or [] if not item.startswith("exclude=")]
-    data.append(f"exclude={excluded}")
-    output = str(run.output or "fitted.yaml")
-    return command_line(["fit", run.model], step.model, run.bags, data, "-o", output), True
-
-
-def _say_what_follows(step: Step, model: Path) -> str:
-    """Say what to do after a command without -o."""
-    from parallel_cal.identification.recheck import UNDECIDED
-
-    drift = step.result.drift
-    if drift is not None and not drift.is_shown:
-        decided = drift.verdict != UNDECIDED
-        more = "" if decided else "measure more of the planned poses; until then, "
-        return f"{more}keep {model}"
-    return "the same command with -o FILE, which writes the model"
+        return f"{reason}: the same command with --data exclude={excluded}"
+    file = shlex.quote(str(output or "fitted.yaml"))
+    return f"{reason}: parallel-cal fit MODEL RECORDING --data=exclude={excluded} -o {file}"
 
 
 def list_options(details: bool, parameters: bool = False) -> list[str]:
     """List the options that show details."""
     return [*(["details"] if details else []), *(["parameters"] if parameters else [])]
-
-
-def command_line(
-    words: Sequence[str | Path],
-    model: Model,
-    bags: list[Path],
-    data: list[str] | None,
-    *others: str,
-    folders: Sequence[Path] = (),
-) -> str:
-    """Write a command that continues with these recordings: `words` before them, `others` behind
-    them. `folders` have further effects."""
-    options = [f"--data={item}" for item in data or []]
-    whole = shlex.join([*map(str, words), *map(str, bags), *options, *others])
-    return f"{write_program(model, folders)} {whole}"
 
 
 def write_program(model: Model, folders: Sequence[Path] = ()) -> str:
@@ -236,15 +249,11 @@ def write_program(model: Model, folders: Sequence[Path] = ()) -> str:
     return f"PYTHONPATH={shlex.quote(path)} parallel-cal" if path else "parallel-cal"
 
 
-def print_summary(result: object, following: str, is_command: bool, reason: str = "") -> None:
-    """Print the last lines of a result, and what to do next, for a `reason`."""
-    from parallel_cal.reporting.readable import COMMAND
-    from parallel_cal.reporting.summary import Line, summarize, summary_table
+def print_summary(result: object, model: Model, given: Given, step: str) -> None:
+    """Print the last lines of a result, and the next step: words, a command, or both."""
+    from parallel_cal.reporting.summary import list_step, summarize, summary_table
 
-    mark = COMMAND if is_command else ""
-    lines = [Line("next:", following, mark)]
-    if reason:
-        lines = [Line("next:", reason), Line("", following, mark)]
+    lines = given.fill(list_step("next:", step), model)
     console.show([summary_table([*summarize(result), *lines])])
 
 
@@ -269,8 +278,7 @@ def compare(
     from parallel_cal.reporting.results import describe
 
     console.show(describe(compared), list_options(details))
-    if compared.given.fits_of_these_samples:
-        command = command_line(["diagnose", model], judged, bags, data)
-    else:
-        command = command_line(["fit", model], judged, bags, data, "-o", "fitted.yaml")
-    print_summary(compared, command, is_command=True)
+    known = compared.given.fits_of_these_samples
+    verb, file = ("diagnose", "") if known else ("fit", " -o fitted.yaml")
+    command = f"parallel-cal {verb} MODEL RECORDING{file}"
+    print_summary(compared, judged, Given(model, bags, data), command)

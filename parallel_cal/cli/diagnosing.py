@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-
 from parallel_cal.cli.arguments import (
     Also,
     Bags,
@@ -15,12 +13,7 @@ from parallel_cal.cli.arguments import (
     Tested,
     with_options,
 )
-from parallel_cal.cli.calibration import (
-    command_line,
-    list_options,
-    read_model_and_data,
-    write_program,
-)
+from parallel_cal.cli.calibration import Given, list_options, read_model_and_data
 from parallel_cal.reporting import console
 
 
@@ -54,35 +47,28 @@ def diagnose(
     console.warn(found.best.fitted.warnings, brief=not details)
     if as_json:
         return console.emit(found.document())
-    from parallel_cal.reporting.readable import COMMAND
     from parallel_cal.reporting.results import describe
-    from parallel_cal.reporting.summary import Line, name_files, summarize, summary_table
+    from parallel_cal.reporting.summary import list_step, summarize, summary_table
 
     console.show(describe(found), list_options(details))
+    given = Given(model, bags, data, options.update)
+    # The last calibration is the prior of its update, and stays.
+    better = f"{model.stem}_updated.yaml" if options.update else "better.yaml"
+    files = {"BETTER.yaml": better, "REFITTED.yaml": "refitted.yaml"}
     # The proposed commands exclude samples themselves.
-    reading = [f"--data={item}" for item in data or [] if not item.startswith("exclude=")]
-    updates = ["--update"] if options.update else []
-    reading += updates
-    names = {
-        "parallel-cal": write_program(found.model),
-        "MODEL": shlex.quote(str(model)),
-        "RECORDING": shlex.join([*map(str, bags), *reading]),
-        # The last calibration is the prior of its update, and stays.
-        "BETTER.yaml": f"{model.stem}_updated.yaml" if updates else "better.yaml",
-        "REFITTED.yaml": "refitted.yaml",
-    }
-    lines = [name_files(line, names) for line in summarize(found)]
+    kept = given.without_exclusions
+    lines = kept.fill(summarize(found), found.model, files)
     label = "then:" if found.next_steps else "next:"
     # A model that effects or a fit without a sample will replace is not one to use.
     is_last = not (found.effects or found.knocked)
+    following = ""
     if is_last and judged.covariance is None:
-        command = command_line(["fit", model], found.model, bags, data, "-o", "better.yaml")
-        lines.append(Line(label, "fit the model: the diagnosis only compared fits, and wrote none"))
-        lines.append(Line("", command, COMMAND))
+        reason = "fit the model: the diagnosis only compared fits, and wrote none"
+        following = f"{reason}: parallel-cal fit MODEL RECORDING -o better.yaml"
     elif is_last and (command := export_command(found.model, model)):
-        lines.append(Line(label, command, COMMAND))
+        following = command
     elif not found.next_steps:
-        words = *updates, "-o", "report.html"
-        command = command_line(["report", model], found.model, bags, data, *words)
-        lines.append(Line("next:", command, COMMAND))
+        following = "parallel-cal report MODEL RECORDING -o report.html"
+    if following:
+        lines += given.fill(list_step(label, following), found.model)
     console.show([summary_table(lines)])

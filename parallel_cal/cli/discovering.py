@@ -19,7 +19,7 @@ from parallel_cal.cli.arguments import (
     Scheduler,
     with_options,
 )
-from parallel_cal.cli.calibration import command_line, read_model_and_data
+from parallel_cal.cli.calibration import Given, read_model_and_data
 from parallel_cal.reporting import console
 
 EffectOut = Annotated[
@@ -58,8 +58,7 @@ def discover(
     if as_json:
         return console.emit(found.document(files))
     from parallel_cal.reporting import text
-    from parallel_cal.reporting.readable import COMMAND
-    from parallel_cal.reporting.summary import Line, summary_table
+    from parallel_cal.reporting.summary import list_step, summary_table
 
     console.show(text.list_blocks(found))
     if output is not None and not files:
@@ -68,16 +67,9 @@ def discover(
         # Together: each law was proven beside those before it.
         console.say(f"written: {', '.join(map(str, files))}")
         laws = "+".join(file.stem for file in files)
-        command = command_line(
-            ["add", model, laws],
-            judged,
-            bags,
-            data,
-            "-o",
-            "better.yaml",
-            folders=[files[0].parent],
-        )
-        console.show([summary_table([Line("next:", command, COMMAND)])])
+        given = Given(model, bags, data, options.update)
+        lines = list_step("next:", f"parallel-cal add MODEL {laws} RECORDING -o better.yaml")
+        console.show([summary_table(given.fill(lines, judged, folders=[files[0].parent]))])
 
 
 @contextmanager

@@ -149,17 +149,15 @@ def inverse(
     r = np.array(robot.mechanism.home.position if place is None else place)
     R = None if quaternion is None else answers.parse_rotation(quaternion)
     found = solving.inverse(robot, r, R, conditions, every, solver)
-    given = None if place is None else r, R
-    home_branch = answers.Differences.of(found[:1], *given)
     known = answers.inverse_covariances(robot, found, conditions) if covariance else None
     words = partial(_joint_sigma, robot)
-    apart = answers.Differences.of(found, *given)
+    apart = answers.Differences.of(found, None if place is None else r, R)
     _print_solutions(found, robot, known, words, as_json, differences=apart)
     turned = {coordinate >= 3 for coordinate in robot.mechanism.controlled}
     options = (("--position", place, False), ("--orientation", quaternion, True))
     console.warn(
         [
-            *home_branch.describe(robot.mechanism),
+            *apart.first.describe(robot.mechanism),  # the home branch
             *(
                 f"no {option} was given, so that of home was taken"
                 for option, value, kind in options

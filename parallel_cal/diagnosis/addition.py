@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.progress import Progress
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.causes.knocks import are_few
@@ -96,7 +97,7 @@ class Addition:
             return found, ()
         if self.probability < 0.5:
             words = f"the improvement by '{self.names}' is chance rather than an effect"
-            against = f"{words} (probability of an effect {100 * self.probability:.0f} %)"
+            against = f"{words} (probability of an effect {format_percent(self.probability)})"
             return replace(found, against=against), ()
         if exclude_device(self.scene, self.recorded, self.effects, result.model):
             return found, ()

@@ -62,6 +62,7 @@ from parallel_cal.diagnosis.verdict import (
     leaves_more_than_noise,
 )
 from parallel_cal.identification.added_effects import limit_patterns
+from parallel_cal.identification.drift_test import TARGET_EFFECT
 from parallel_cal.identification.fit import (
     FitResult,
     Prepared,
@@ -81,6 +82,7 @@ from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
 )
+from parallel_cal.identification.recheck import DEVICE_MOVED, Recheck
 from parallel_cal.identification.registration import Registration
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
@@ -142,6 +144,9 @@ class Diagnosis(ShownInNotebook):
     doubted : Addition or None
         All effects found, judged as `add` judges them, if the robot or the device may cause some of
         them.
+    drift : Recheck or None
+        Of an update: whether the robot has drifted since its last calibration; None if nothing
+        tells it.
     """
 
     model: Model
@@ -169,6 +174,7 @@ class Diagnosis(ShownInNotebook):
     unseparated: tuple[str, ...] = ()
     addition: Addition | None = None
     doubted: Addition | None = None
+    drift: Recheck | None = None
 
     @property
     def leaves_an_error(self) -> bool:
@@ -211,6 +217,10 @@ class Diagnosis(ShownInNotebook):
             adds, discovers, advice = [], [], [STATE_THE_SIDES]
         commands = discovers + adds if self.verdict.suspected_of_law else adds + discovers
         refit = f"parallel-cal fit MODEL RECORDING{exclude} -o REFITTED.yaml"
+        if self.drift is not None and self.drift.verdict == DEVICE_MOVED:
+            # Other effects than that of the target may imitate the device at its new place.
+            adds = adds if TARGET_EFFECT in self.effects else []
+            commands = [self.drift.cure, *(f"if it stays there, {one}" for one in adds)]
         return (*self._list_checks("" if commands else refit), *commands, *advice)
 
     def _list_checks(self, refit: str) -> Iterator[str]:
@@ -379,7 +389,7 @@ def diagnose(
     """
     options = with_changes(options, FitOptions, changes, FitError)
     setup = _Setup.of(model, dataset, effects, also, options, progress or ignore_progress)
-    with naming_wrong_columns(setup.model, setup.dataset, setup.any_size):
+    with naming_wrong_columns(setup.ready.start, setup.ready.dataset, setup.any_size):
         if options.loss == "linear":
             return setup.diagnose_without([])
         return setup.diagnose_without_mistrusted()
@@ -395,9 +405,11 @@ def diagnose_fitted(
     if options.loss != "linear":  # such a fit only tells which samples it mistrusts
         return diagnose(model, dataset, options=options, progress=report)
     names = list_effects_to_test(fitted.start, (), ())
-    place = fitted.given, fitted.start, fitted.dataset, fitted.registration
-    setup = _Setup(model, dataset, *place, names, options, report, fitted)
-    with naming_wrong_columns(setup.model, setup.dataset, setup.any_size):
+    ready = Prepared(
+        fitted.given, fitted.start, fitted.dataset, options, fitted.registration, fitted.drift
+    )
+    setup = _Setup(model, dataset, ready, names, report, fitted)
+    with naming_wrong_columns(ready.start, ready.dataset, setup.any_size):
         return setup.diagnose_without([])
 
 
@@ -405,19 +417,15 @@ def diagnose_fitted(
 class _Setup:
     """What is asked about which samples.
 
-    `recorded` are the samples as given for the model that was `asked`; `dataset` those of the
-    `model` with the device in its place, and `given` is that model before any fit. `names` are the
-    effects to test. `fitted` is the fit of the model to all these samples, if it is known.
+    `recorded` are the samples as given for the model that was `asked`; both are `ready` for a fit,
+    with the device in its place. `names` are the effects to test. `fitted` is the fit of the model
+    to all these samples, if it is known.
     """
 
     asked: Model
     recorded: Dataset
-    given: GivenModel
-    model: Model
-    dataset: Dataset
-    registration: Registration | None
+    ready: Prepared
     names: list[str]
-    options: FitOptions
     report: Progress
     fitted: FitResult | None = None
 
@@ -433,27 +441,18 @@ class _Setup:
     ) -> _Setup:
         """Prepare the samples as a fit does, and list the effects to test."""
         ready = Prepared.of(asked, recorded, options)
-        return cls(
-            asked,
-            recorded,
-            ready.given,
-            ready.start,
-            ready.dataset,
-            ready.registration,
-            list_effects_to_test(ready.start, also, effects),
-            ready.options,
-            report,
-        )
+        names = list_effects_to_test(ready.start, also, effects)
+        return cls(asked, recorded, ready, names, report)
 
     @property
     def any_size(self) -> FitOptions:
         """The options of a fit with effects of any size: an unusual one is evidence against other
         effects in any case."""
-        return replace(self.options, usual_only=False)
+        return replace(self.ready.options, usual_only=False)
 
     def diagnose_without_mistrusted(self) -> Diagnosis:
         """Diagnose without the samples that a robust fit trusts least."""
-        why, aside = f"by --loss {self.options.loss}", self._find_mistrusted(self.model)
+        why, aside = f"by --loss {self.ready.options.loss}", self._find_mistrusted(self.ready.start)
         found = self.diagnose_without(aside, why)
         # A good pose may look bad only for as long as the effect is not in the model.
         try:
@@ -471,27 +470,31 @@ class _Setup:
     ) -> Diagnosis:
         """Diagnose without these samples, and without those that were disturbed alone, except the
         `trusted` ones; name them if it is known how all were `seen`."""
-        why = why or f"because it is {explain_exclusion(self.dataset, aside)}"
-        kept = self.dataset.excluding(aside, why)
-        judged = self.given.with_dataset(kept)
+        why = why or f"because it is {explain_exclusion(self.ready.dataset, aside)}"
+        kept = self.ready.dataset.excluding(aside, why)
+        judged = self.ready.given.with_dataset(kept)
         least_squares = replace(self.any_size, loss="linear")
         base = None if aside else self.fitted
-        refit = refit_with_equal_weights(self.model, judged, least_squares, base)
+        refit = refit_with_equal_weights(self.ready.start, judged, least_squares, base)
 
         def place(extended: Model) -> Model:
             return judged.place(extended, self.any_size)
 
         def set_aside(knocked: Sequence[int]) -> list[int]:
             more = [one for one in knocked if one not in trusted]
-            few = self.options.loss == "linear" and are_few([*aside, *more], self.dataset)
+            few = self.ready.options.loss == "linear" and are_few(
+                [*aside, *more], self.ready.dataset
+            )
             return more if few else []
 
         def find(text: str, base: FitResult, result: FitResult | None) -> Addition:
-            as_add = replace(self.options, loss="linear")
+            as_add = replace(self.ready.options, loss="linear")
             samples, known = self.recorded.excluding(aside, why), (base, result)
             return find_addition(self.asked, text, samples, as_add, knocked=(), known=known)
 
-        search = Search(self.model, refit, self.report, self.options.usual_only, place, base)
+        search = Search(
+            self.ready.start, refit, self.report, self.ready.options.usual_only, place, base
+        )
         self.report("identifying the geometry", 0.0)
         if not aside and (odd := self._find_contradicting(search.fit(judged=False))):
             return self.diagnose_without(odd[0], seen=odd[1])
@@ -506,24 +509,24 @@ class _Setup:
         if seen is None:
             return found
         best = found.best.fitted.model
-        far = list_samples_far_from(best, self.dataset, seen, aside)
-        return _with_samples_aside(found, far, self.dataset)
+        far = list_samples_far_from(best, self.ready.dataset, seen, aside)
+        return _with_samples_aside(found, far, self.ready.dataset)
 
     def _find_contradicting(self, base: Trial) -> tuple[list[int], Observations] | None:
         """Return the samples that contradict all others, which an implausible geometry may follow,
         or an estimated noise hide, and how all were seen; None if there are none, or more than a
         few. FitError if the columns or the motion of the samples are the cause of the geometry.
         Where no fit succeeds, samples are known only by values far outside those of all others."""
-        model, dataset, options = self.model, self.dataset, self.any_size
+        model, dataset, options = self.ready.start, self.ready.dataset, self.any_size
         if base.result is None:
             if not are_few(far := [*describe_far_values(dataset)], dataset):
                 check_far_values(dataset, base.reason)
-            seen = self.given.observe(model, dataset, options.joint_sigma, options.insist)
+            seen = self.ready.given.observe(model, dataset, options.joint_sigma, options.insist)
             return (far, seen) if far else None
         implausible = base.result.implausible
         if not implausible and not may_hide_in_noise(base.result.observations, dataset):
             return None
-        observations = self.given.observe(model, dataset, options.joint_sigma, options.insist)
+        observations = self.ready.given.observe(model, dataset, options.joint_sigma, options.insist)
         outliers = search_outliers(model, dataset, observations, options)
         numbers = list(outliers.numbers) if outliers else []
         few = numbers if are_few(numbers, dataset) else []
@@ -533,7 +536,7 @@ class _Setup:
         return (few, observations) if few else None
 
     def _find_mistrusted(self, model: Model) -> list[int]:
-        return find_mistrusted_samples(fit(model, self.dataset, self.any_size, hold_out=0))
+        return find_mistrusted_samples(fit(model, self.ready.dataset, self.any_size, hold_out=0))
 
 
 def find_mistrusted_samples(robust: FitResult) -> list[int]:
@@ -638,7 +641,7 @@ def _diagnose_trusted(
         laws=found.laws,
     )
     return Diagnosis(
-        model=setup.model,
+        model=setup.ready.start,
         dataset=dataset,
         base=base,
         best=best,
@@ -655,7 +658,7 @@ def _diagnose_trusted(
         robot_or_device=robot_or_device,
         unusual=findings.unusual,
         suspected=tuple(confirmed.against),
-        registration=setup.registration,
+        registration=setup.ready.registration,
         measure_next=measure_next,
         ambiguous=ambiguous,
         unseparated=tuple(find_large_device_effects(best.fitted.model))
@@ -664,6 +667,7 @@ def _diagnose_trusted(
         addition=confirmed.addition,
         doubted=confirmed.doubted,
         explanation=found,
+        drift=setup.ready.drift,
     )
 
 

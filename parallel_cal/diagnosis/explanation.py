@@ -19,6 +19,7 @@ from parallel_cal.causes.effects import (
     find_new_parameters,
     weigh_settings,
 )
+from parallel_cal.causes.unknown_laws import name_law
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.causes import Causes, Doubt, as_effects, find_swaps
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
@@ -208,9 +209,15 @@ class Explanation:
     @property
     def laws(self) -> dict[str, float]:
         """What no effect describes and the likeliest set contains, with its probability: laws of
-        the robot, and fields of errors of the device."""
-        names = [one.block.name for one in self.posterior.chosen if one.block.kind in (LAW, FIELD)]
-        return {name: self.posterior.probability[name] for name in names}
+        the robot, with their joint, and fields of errors of the device."""
+        joints = self.best.fitted.model.joints
+        return {
+            name_law(one.block.name, one.setting, joints): self.posterior.probability[
+                one.block.name
+            ]
+            for one in self.posterior.chosen
+            if one.block.kind in (LAW, FIELD)
+        }
 
     def missing(self, names: Sequence[str]) -> list[dict[str, Any]]:
         """For each of these effects, what it may be, how probable it is that the robot has one of

@@ -157,5 +157,6 @@ def advise_on_noise(result: FitResult, revisits: int) -> str:
     return (
         f"to learn whether anything is left, {again} {max(MIN_DOF - revisits, 1)} "
         f"{one}s or more a second time, or measure one {one} ten times and state the standard "
-        f"deviation in the model file ({' and '.join(sorted(places))}); then diagnose again"
+        f"deviation in the model file ({' and '.join(sorted(places)) or '`noise`'}); then diagnose "
+        "again"
     )

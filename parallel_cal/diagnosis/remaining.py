@@ -12,13 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.causes.unknown_laws import smooth
 from parallel_cal.diagnosis.noise_shape import NoiseShape
-from parallel_cal.diagnosis.scoring import deflate, score
+from parallel_cal.diagnosis.scoring import Score, deflate, score, score_beside
 from parallel_cal.diagnosis.thresholds import CERTAINTY_LEVEL
 from parallel_cal.model.effect import parse_part
 from parallel_cal.posterior.scene import Scene
 
 CONDITIONS = ("payload", "temperature", "direction", "travel", "time")
+# Of an error of a joint that is any smooth function of its own reading: its length in standard
+# deviations of the readings, and the number of functions.
+OWN_LENGTH, OWN_CENTRES = 0.7, 8
 SLOW_CONDITIONS = ("temperature", "time")
 
 
@@ -42,14 +46,21 @@ def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondit
     joint's reading q and its square, and times the direction of approach; what the geometry can
     imitate is removed. The F test needs no figure of the noise. Slow conditions are judged by the
     number of independent samples, because the noise may drift.
+
+    A condition that is correlated with the readings, such as the direction of joints that are
+    mostly reached from below where their readings are large, is judged by what errors of the
+    readings alone leave, if the residuals depend on these.
     """
     if scene.dataset.mode == "continuous":
         return None
     joints = scene.measured_jacobian[:, :, : len(scene.model.joints)]
-    log_p = {}
+    q = scene.x.T[: joints.shape[2]]
+    own = np.stack([smooth(one, OWN_LENGTH, OWN_CENTRES) for one in q], axis=1)
+    readings, log_p = _score_errors(scene, joints, own), dict[str, float]()
     for name, features in _iterate_features(scene):
-        columns = joints[:, :, :, None] * features[:, None]
-        found = score(scene, columns.reshape(len(scene.residual), -1))
+        found = _score_errors(scene, joints, features)
+        if readings.p_value < CERTAINTY_LEVEL:
+            found = score_beside(scene, found, readings)
         inflation = shape.inflation if name.split(".")[0] in SLOW_CONDITIONS else 1.0
         log_p[name] = deflate(found, scene.dof, inflation)
     if not log_p:
@@ -57,6 +68,12 @@ def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondit
     name = min(log_p, key=lambda one: log_p[one])
     p_value = min(1.0, float(np.exp(log_p[name])) * len(log_p))
     return RemainingCondition(name, p_value) if p_value < CERTAINTY_LEVEL else None
+
+
+def _score_errors(scene: Scene, joints: np.ndarray, features: np.ndarray) -> Score:
+    """The F test of errors of each joint that are any sum of its features (N, nq, k)."""
+    columns = joints[:, :, :, None] * features[:, None]
+    return score(scene, columns.reshape(len(scene.residual), -1))
 
 
 def _iterate_features(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,17 @@ def score(scene: Scene, B: np.ndarray) -> Score:
     size = float(np.sqrt(np.mean(np.sum((projected * lengths) ** 2, axis=0))))
     F, log_p = f_test(scene.residual, U, scene.dof)
     return Score(F, log_p, U.shape[1], remaining, size, U)
+
+
+def score_beside(scene: Scene, one: Score, other: Score) -> Score:
+    """The F test of one group of columns by what another group leaves of residuals and columns."""
+    r = scene.residual - other.U @ (other.U.T @ scene.residual)
+    left = one.U - other.U @ (other.U.T @ one.U)
+    squares, directions = np.linalg.eigh(left.T @ left)
+    visible = squares > MIN_COLUMN_REMAINDER**2
+    U = left @ directions[:, visible] / np.sqrt(squares[visible])
+    F, log_p = f_test(r, U, scene.dof - other.q)
+    return replace(one, F=F, log_p=log_p, q=U.shape[1], U=U)
 
 
 def f_test(r: np.ndarray, U: np.ndarray, dof: int) -> tuple[float, float]:

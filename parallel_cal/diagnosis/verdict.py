@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
@@ -356,7 +357,7 @@ def _describe_imitated_law(found: Findings) -> list[str]:
         return []
     law, p = max(found.laws.items(), key=lambda one: one[1])
     return [
-        f"a {law} that is in no catalogue is likelier ({100 * p:.0f} %), and "
+        f"a {law} that is in no catalogue is likelier ({format_percent(p)}), and "
         f"{' and '.join(found.imitating)} may only imitate it: search for it (discover)"
     ]
 
@@ -418,7 +419,9 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
         elif found.structure.has_structure:
             advice.append("neighbouring residuals are similar: look at the map")
         return Verdict("at_noise", words, remarks=(*advice, *noise))
-    nothing, remarks = "no effect of the catalogue explains it", list[str]()
+    known = " and ".join(effect.name for effect in found.base.fitted.model.effects)
+    beside = known and f", beside {known} of the model,"  # what these leave was there before them
+    nothing, remarks = f"no effect of the catalogue{beside} explains it", list[str]()
     if found.refused:
         nothing, remarks = "no effect explains it well", [*refused]
     elif found.like_drift:

@@ -27,7 +27,7 @@ from parallel_cal.discovery.drivers import (
     select_for_screening,
 )
 from parallel_cal.discovery.law import Discovery, Law
-from parallel_cal.discovery.names import name_law
+from parallel_cal.discovery.names import describe_law
 from parallel_cal.discovery.places import (
     list_places,
     list_sites,
@@ -283,12 +283,14 @@ def _advise(scene: Scene, winner: Winner, drivers: Sequence[Driver]) -> str:
     )
     apart = np.linalg.norm(scene.by_sample(own - other), axis=1)
     far = np.argsort(-apart)[: max(len(apart) // 10, 3)]
-    names = f"{name_law(winner.formula.hypothesis)} from {name_law(winner.equal[0].hypothesis)}"
+    laws = (describe_law(one.hypothesis) for one in (winner.formula, winner.equal[0]))
+    quoted = " and ".join(f"'{law}'" for law in laws)
+    equal = f"two laws fit equally well, {quoted}"
     sigmas = float(np.linalg.norm(apart))
     if sigmas < 1.0:
         return (
-            f"nothing tells {names}: at these samples both laws are the same function "
-            f"({sigmas:.1f} sigmas)"
+            f"{equal}: at these samples they predict the same errors (to {sigmas:.1f} sigmas), so "
+            "that more poses like these do not decide between them"
         )
     shifts = [
         (float(np.mean(one.values[far]) - np.mean(one.values)) / float(np.std(one.values)), one)
@@ -298,6 +300,6 @@ def _advise(scene: Scene, winner: Winner, drivers: Sequence[Driver]) -> str:
     shifts.sort(key=lambda item: -abs(item[0]))
     where = [f"{'large' if shift > 0 else 'small'} {one.name}" for shift, one in shifts[:2]]
     return (
-        f"to tell {names}, measure more poses with {' and '.join(where)}, where they differ most; "
-        f"the present samples tell them by {sigmas:.1f} sigmas"
+        f"{equal}: to decide between them, measure more poses with {' and '.join(where)}, where "
+        f"they differ most (at these samples by {sigmas:.1f} sigmas)"
     )

@@ -30,15 +30,24 @@ UNCHANGED = (
     "robot"
 )
 
+DIAGNOSE = "parallel-cal diagnose MODEL RECORDING"
+IN_PYTHON = " (in Python: pc.diagnose(model, dataset))"
+
 RIGHT_GEOMETRY = (
     ". Another geometry does not explain the samples better. If more than noise remains, diagnose "
-    "names the missing effect without a fit: parallel-cal diagnose MODEL RECORDING (in Python: "
-    "pc.diagnose(model, dataset))"
+    f"names the missing effect without a fit: {DIAGNOSE}{IN_PYTHON}"
 )
 
-IMITATES = (
-    ". diagnose names what is missing, and add takes it: parallel-cal diagnose MODEL RECORDING "
-    "(in Python: pc.diagnose(model, dataset))"
+IMITATES = f". diagnose names what is missing, and add takes it: {DIAGNOSE}{IN_PYTHON}"
+
+KEEP = "keep MODEL"
+CHECK_JOINTS = (
+    "check the unit and the drive of each joint (of a printer: whether rotation_distance, gears or "
+    "microsteps changed after the touches)"
+)
+CHECK_MACHINE = (
+    "check the mechanism, and the unit, the direction and the drive (spool, screw or belt) of each "
+    "joint"
 )
 
 NOISE_OF_THREE_AXES = 3.0  # squared error that noise alone leaves, in units of its variance
@@ -52,7 +61,8 @@ class Acceptance:
     """Errors before and after: at held-out poses if `judged`, else at the samples used.
 
     `against` says in one sentence why the new model must not replace the old one; empty if it may.
-    `device_may_err` is whether the reason is that the measuring device may cause the error.
+    `device_may_err` is whether the reason is that the measuring device may cause the error. `cure`
+    says what to do instead: words, a command with MODEL and RECORDING, or `words: command`.
     """
 
     before: Summary
@@ -60,6 +70,7 @@ class Acceptance:
     judged: bool
     against: str = ""
     device_may_err: bool = False
+    cure: str = KEEP
 
     @property
     def description(self) -> str:
@@ -88,15 +99,11 @@ def acceptance(
     squares = np.array([_squared(new, before), _squared(new, after)])
     known = np.isfinite(squares).all(axis=0)
     if not known.any():
-        used = (new.before if old is None else old.after).summary
-        why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
-        why += ": without a validation error nothing proves that the new model is better"
-        if new.options.hold_out * len(np.unique(new.dataset.pose_id)) > 1:
-            why += ". Measure more poses, or hold out one pose at a time (--hold-out 0.001)"
-        return Acceptance(used, new.after.summary, False, _describe_imitation(new, old) or why)
+        return _refuse_unjudged(new, old)
     then, now = before.select(known).summary, after.select(known).summary
+    foreign, check = _describe_foreign_model(new, now)
     if why := _describe_imitation(new, old):
-        return Acceptance(then, now, True, f"{why}{_describe_foreign_model(new, now)}")
+        return Acceptance(then, now, True, f"{why}{foreign}", cure=DIAGNOSE)
     ratio = held_out_ratio(then, now)
     # The fall must exceed the uncertainty of its mean, pose by pose: a fall that half of the poses
     # contradict is chance.
@@ -107,14 +114,13 @@ def acceptance(
     # precise; at held-out poses they can only contradict it.
     drift = new.drift if old is None else None
     if drift is not None and (why := _describe_useless_update(new, drift)):
-        return Acceptance(then, now, True, why)
+        return Acceptance(then, now, True, why, cure=drift.cure)
     risen = dict[str, float]()
     if now.pixel_rms is None and now.position_rms and now.orientation_rms:
         # A mean of both would let one error rise for the fall of the other.
         risen = _find_risen_parts(new, before, after, known, rise)
         ratio = float(np.sqrt(squares[1][known].sum() / squares[0][known].sum()))
     falls = ratio is not None and ratio < 1 + rise
-    foreign = _describe_foreign_model(new, now)
     # The frames alone were fitted, before without the held-out poses: all samples tell that.
     was, total = (np.nansum(_squared(new, one)) for one in (new.before, new.after))
     stuck = old is None and bool(total >= (1 - 1e-6) * was)
@@ -130,13 +136,29 @@ def acceptance(
     advice = _advise(new) if old is None and not foreign else ""
     if stuck and verb == "falls":
         advice = UNCHANGED
+    cure = DIAGNOSE if advice == RIGHT_GEOMETRY else KEEP
     return Acceptance(
         then,
         now,
         True,
         f"{said}the {' and '.join(risen)}{' ' if risen else ''}error at held-out poses "
         f"{verb}{change} ({format_errors(now, then)}{factor}){advice}{foreign}",
+        cure=check or cure,
     )
+
+
+def _refuse_unjudged(new: FitResult, old: FitResult | None) -> Acceptance:
+    """Refuse a model without a validation error."""
+    used = (new.before if old is None else old.after).summary
+    why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
+    why += ": without a validation error nothing proves that the new model is better"
+    cure = "measure more poses" if new.options.hold_out else "hold poses out (--hold-out)"
+    if new.options.hold_out * len(np.unique(new.dataset.pose_id)) > 1:
+        cure += ", or hold out one pose at a time (--hold-out 0.001)"
+        why += f". {cure[0].upper()}{cure[1:]}"
+    if new.implausible:
+        why, cure = _describe_imitation(new, old), DIAGNOSE
+    return Acceptance(used, new.after.summary, False, why, cure=cure)
 
 
 def _describe_useless_update(new: FitResult, drift: Recheck) -> str:
@@ -196,28 +218,24 @@ def _describe_imitation(new: FitResult, old: FitResult | None) -> str:
     return f"{new.implausible}{IMITATES}" if old is None else new.implausible
 
 
-def _describe_foreign_model(new: FitResult, now: Summary) -> str:
-    """Say that a model explains hardly any of the measured motion, and what to check."""
+def _describe_foreign_model(new: FitResult, now: Summary) -> tuple[str, str]:
+    """Say that a model explains hardly any of the measured motion, and what to check; empty if it
+    explains some."""
     seen = new.dataset.measured[:, :3].all(axis=1)
     if now.position_rms is None or not seen.any():
         sliding = [unit == "m" for unit in new.model.mechanism.joint_units]
         joints = float(np.std(new.dataset.q[:, sliding])) if any(sliding) else 0.0
         if not now.reading_rms or not now.reading_rms > MAX_READING_SHARE * joints > 0:
-            return ""
-        return (
-            f"; the joints themselves move by {1e3 * joints:.4g} mm (rms), so their readings do "
-            "not belong to these sensors: check the unit and the drive of each joint (of a "
-            "printer: whether rotation_distance, gears or microsteps changed after the touches)"
-        )
+            return "", ""
+        why = f"; the joints themselves move by {1e3 * joints:.4g} mm (rms), so their readings do "
+        return f"{why}not belong to these sensors: {CHECK_JOINTS}", CHECK_JOINTS
     motion = float(np.sqrt(np.var(new.dataset.r[seen], axis=0).sum()))
     only_turns = min(new.model.mechanism.moved) >= 3  # then positions scatter by noise alone
     if only_turns or now.position_rms < FOREIGN_SHARE * motion:
-        return ""
-    return (
-        f"; the measured positions themselves scatter by {1e3 * motion:.4g} mm (rms), so the model "
-        "describes another machine, or the readings are converted wrongly: check the mechanism, "
-        "and the unit, the direction and the drive (spool, screw or belt) of each joint"
-    )
+        return "", ""
+    why = f"; the measured positions themselves scatter by {1e3 * motion:.4g} mm (rms), so the "
+    why += "model describes another machine, or the readings are converted wrongly: "
+    return f"{why}{CHECK_MACHINE}", CHECK_MACHINE
 
 
 def _find_risen_parts(

@@ -25,7 +25,9 @@ a.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,34 +41,58 @@ from parallel_cal.identification.update import (
     update_prior,
 )
 from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Parameter
 from parallel_cal.model.shelf import load_effect
+from parallel_cal.model.words import describe
 
+TARGET_EFFECT = "target_offset"
 SCALES = np.array([1 / 3, 1.0, 3.0, 10.0, 30.0])  # usual drifts; a collision is 30
 ZERO, TEMPERATURE, PART, DEVICE = "zero", "temperature", "part", "measuring device"
+TARGET = "target of the device"  # of the kind DEVICE
 HOMING, EVERYTHING = "zeros and temperature", "all parts"
+
+
+class Part(NamedTuple):
+    """One number of a change in words, and its usual size, 1 sigma, in an SI unit; negative if a
+    change by +1 sigma is one of the columns by -1 sigma."""
+
+    title: str
+    size: float
+    unit: str
 
 
 @dataclass(frozen=True)
 class Change:
     """What may have changed: its name, the `kind` of change, and the usual size F (n, k), in units
-    of the columns: these change by F z, z ~ N(0, 1)."""
+    of the columns: these change by F z, z ~ N(0, 1). `parts` are the k numbers that z scales."""
 
     name: str
     kind: str
     factor: np.ndarray
+    parts: tuple[Part, ...] = ()
+
+
+class Moved(NamedTuple):
+    """By how much a part has changed, with the standard deviation, in an SI unit."""
+
+    title: str
+    value: float
+    sigma: float
+    unit: str
 
 
 @dataclass(frozen=True)
 class Columns:
     """Residuals (N, rows) in units of the noise, and their derivatives (N, rows, n + k) by the free
-    parameters, in tolerances, and by the displacements of the measuring device (m, rad), whose
-    usual sizes are `device` (k,). `rows` is the mean number of independent residuals of a sample.
+    parameters, in tolerances, and by the displacements (m, rad) of the measuring device and of its
+    target on the platform: those of each, k together, are in `device` by its name.
+    `rows` is the mean number of independent residuals of a sample.
 
     A device that a fit places anyway, because it is a sensor of the model, has no columns."""
 
     residual: np.ndarray
     jacobian: np.ndarray
-    device: np.ndarray
+    device: Mapping[str, tuple[Part, ...]]
     rows: float
 
     @classmethod
@@ -80,11 +106,12 @@ class Columns:
         jacobian = system.jacobian * model.table.tolerance[free]
         placed = any(p.group == "sensor" for p in model.table)
         if placed or not observations.measured[:, nq : nq + 6].any():
-            return cls(system.residual, jacobian, np.zeros(0), rows)
+            return cls(system.residual, jacobian, {}, rows)
         seen = np.where(observations.measured[:, None, :], C, 0.0)
         shift, turn = seen[:, :, nq : nq + 3], seen[:, :, nq + 3 : nq + 6]
-        columns, sizes = [], []
-        for bump in load_effect("device_bump").parameters(model.mechanism)[1:]:
+        columns, device = list[np.ndarray](), dict[str, tuple[Part, ...]]()
+        bumps = load_effect("device_bump").parameters(model.mechanism)[1:]
+        for bump in bumps:
             kind, axis = bump.name.split("_")
             k = "xyz".index(axis)
             moved = shift[:, :, k]
@@ -92,10 +119,19 @@ class Columns:
                 across = np.cross(np.eye(3)[k], observations.x[:, nq : nq + 3])
                 moved = np.einsum("nij,nj->ni", shift, across) + turn[:, :, k]
             columns.append(moved)
-            sizes.append(bump.tolerance)
+        device[DEVICE] = tuple(_as_part(DEVICE, one) for one in bumps)
+        target = load_effect(TARGET_EFFECT)
+        states_it = any(one.name == TARGET_EFFECT for one in model.effects)
+        if not states_it and not target.applies(model.mechanism):
+            offsets = target.parameters(model.mechanism)
+            R = model.configuration(observations.x).R
+            for offset in offsets:
+                along = R[:, :, "xyz".index(offset.name[-1])]
+                columns.append(np.einsum("nij,nj->ni", shift, along))
+            device[TARGET] = tuple(_as_part(TARGET, one) for one in offsets)
         displaced = linearise.whiten(C) @ np.stack(columns, axis=2)
         every = np.concatenate([jacobian, displaced], axis=2)
-        return cls(system.residual, every, np.array(sizes), rows)
+        return cls(system.residual, every, device, rows)
 
     def sum(self, begin: int = 0, end: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The information (n, n) and the pull (n,) of some samples."""
@@ -103,30 +139,48 @@ class Columns:
         return J.T @ J, -J.T @ self.residual[begin:end].reshape(-1)
 
 
-def list_changes(model: Model, device: np.ndarray) -> list[Change]:
-    """List what may have changed; `device` are the usual displacements (k,) of a measuring device
-    that the columns behind those of the parameters stand for."""
+def _as_part(owner: str, parameter: Parameter) -> Part:
+    """The displacement of a device or its target along an axis, or about one."""
+    kind = "turn about" if parameter.unit == "rad" else "shift along"
+    title = f"{kind} {parameter.name[-1]} of the {owner}"
+    # The columns are those of a change of the measured pose, which the pose without it undoes.
+    return Part(title, -parameter.tolerance, parameter.unit)
+
+
+def list_changes(model: Model, device: Mapping[str, tuple[Part, ...]]) -> list[Change]:
+    """List what may have changed; `device` has the usual displacements of a measuring device and of
+    its target that the columns behind those of the parameters stand for."""
     free = ~np.asarray(model.fixed)
+    displaced = sum(map(len, device.values()))
     tolerance, names = model.table.tolerance[free], np.array(model.table.names)[free]
 
-    def change(name: str, kind: str, rows: np.ndarray) -> Change:
+    def change(name: str, kind: str, rows: np.ndarray, parts: Sequence[Part]) -> Change:
         columns = np.atleast_2d(rows)[:, free].T / tolerance[:, None]
-        return Change(name, kind, np.pad(columns, ((0, len(device)), (0, 0))))
+        return Change(name, kind, np.pad(columns, ((0, displaced), (0, 0))), tuple(parts))
 
-    *zeros, temperature = list_culprits(model)
-    parts = list_drift_parts(model)
+    culprits, parts = list_culprits(model), list_drift_parts(model)
+    usual = [Part(one.name, one.size, one.unit) for one in culprits]
     settled = np.vstack([parts["lengths"], parts["others"]])
     single = [row for row in settled if row[free].any()]
     found = [
-        *(change(one.name, ZERO, one.change) for one in zeros),
-        change(temperature.name, TEMPERATURE, temperature.change),
-        *(change(str(names[np.argmax(np.abs(row[free]))]), PART, row) for row in single),
-        # The usual culprits together, as after homing on another day, and all parts together.
-        change(HOMING, HOMING, np.array([one.change for one in (*zeros, temperature)])),
-        change(EVERYTHING, EVERYTHING, np.vstack([*parts.values()])),
+        change(one.name, TEMPERATURE if part.unit == "K" else ZERO, one.change, [part])
+        for one, part in zip(culprits, usual, strict=True)
     ]
-    if len(device):
-        found.append(Change(DEVICE, DEVICE, np.pad(np.diag(device), ((len(tolerance), 0), (0, 0)))))
+    for row in single:
+        name = str(names[np.argmax(np.abs(row[free]))])
+        part = Part(describe(name, model.table), float(np.abs(row).max()), model.table[name].unit)
+        found.append(change(name, PART, row, [part]))
+    settling = [one.parts[0] for one in found if one.kind == PART]
+    # The usual culprits together, as after homing on another day, and all parts together.
+    found.append(change(HOMING, HOMING, np.array([one.change for one in culprits]), usual))
+    every = np.array([*(one.change for one in culprits), *single])
+    found.append(change(EVERYTHING, EVERYTHING, every, [*usual, *settling]))
+    begin = len(tolerance)
+    for name, members in device.items():
+        end = len(tolerance) + displaced - begin - len(members)
+        F = np.pad(np.diag([abs(one.size) for one in members]), ((begin, end), (0, 0)))
+        found.append(Change(name, DEVICE, F, members))
+        begin += len(members)
     return [one for one in found if np.abs(one.factor).max() > 0]
 
 
@@ -169,8 +223,8 @@ class DriftTest:
     @classmethod
     def of(cls, model: Model, columns: Columns) -> DriftTest:
         """FitError if the model was never fitted."""
-        free, k = ~np.asarray(model.fixed), len(columns.device)
-        n = int(free.sum())
+        free = ~np.asarray(model.fixed)
+        n, k = int(free.sum()), sum(map(len, columns.device.values()))
         tolerance = model.table.tolerance[free]
         samples, variance = read_calibration(model)
         C0 = np.zeros((n + k, n + k))
@@ -207,6 +261,18 @@ class DriftTest:
         pull = self.singles.T @ u
         squares = np.sum(self.singles * (M @ self.singles), axis=0)
         return found, (np.logaddexp(pull, -pull) - np.log(2) - squares[:, None] / 2).T
+
+    def estimate(self, k: int, scale: float, A: np.ndarray, b: np.ndarray) -> tuple[Moved, ...]:
+        """Estimate the parts of a change by information A (n, n) and pull b (n,) in the stated
+        noise, if it is `scale` times as large as usual; the most significant first."""
+        M, u = _integrate_out(self.C0, A / self.variance, b[:, None] / self.variance)
+        F, parts = self.changes[k].factor, self.changes[k].parts
+        C = np.linalg.inv(F.T @ M @ F + np.eye(F.shape[1]) / scale**2)
+        z, sigma = C @ (F.T @ u[:, 0]), np.sqrt(np.diag(C))
+        sizes = np.array([one.size for one in parts])
+        order = np.argsort(-np.abs(z) / sigma).tolist()
+        values, sigmas = (sizes * z).tolist(), (np.abs(sizes) * sigma).tolist()
+        return tuple(Moved(parts[i].title, values[i], sigmas[i], parts[i].unit) for i in order)
 
     @property
     def log_prior(self) -> np.ndarray:

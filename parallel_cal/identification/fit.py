@@ -602,6 +602,12 @@ class Prepared:
         dataset = add_lagged_conditions(start.conditions, given.dataset)
         start, registration = prepared_for_fit(start, given.registration, dataset, options)
         dataset = add_registration_warning(dataset, registration)
+        if options.update and not isinstance(options.prior, Prior) and given.known_samples.any():
+            raise FitError(
+                f"{dataset.source}: the given model was fitted to these samples, so that an update "
+                "(--update) would count them twice: give the model from before them, or fit "
+                "without --update"
+            )
         drift, options, dataset = weigh_drift(start, dataset, options, registration is not None)
         return cls(given, start, dataset, options, registration, drift)
 

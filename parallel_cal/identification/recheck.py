@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.drift_test import (
     DEVICE,
+    PART,
     SCALES,
+    TARGET,
+    TARGET_EFFECT,
     Columns,
     DriftTest,
     Look,
+    Moved,
     probabilities,
 )
 from parallel_cal.identification.expected_drift import ExpectedDrift, expect_drift
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prior import Prior
-from parallel_cal.identification.update import update_prior
+from parallel_cal.identification.update import SHOWN_SIGMAS, update_prior
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -44,11 +50,15 @@ class Recheck:
         The probabilities after growing numbers of samples.
     names, kinds : tuple of str
         The possible changes (H): the zero of a joint, the temperature, a single parameter, all
-        zeros with the temperature, all parts, and the measuring device.
+        zeros with the temperature, all parts, the measuring device, and its target.
     certainty : float
         The probability at which it is decided.
     expected : ExpectedDrift, optional
         What all samples let expect of the parameters, of an update and of further samples.
+    moved : tuple of Moved
+        By how much the parts of the likeliest change have changed, the most significant first.
+    titles : Mapping
+        Names of parameters in words.
     """
 
     looks: tuple[Look, ...]
@@ -56,6 +66,8 @@ class Recheck:
     kinds: tuple[str, ...]
     certainty: float = CERTAINTY
     expected: ExpectedDrift | None = None
+    moved: tuple[Moved, ...] = ()
+    titles: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def _is_device(self) -> np.ndarray:
@@ -129,8 +141,26 @@ class Recheck:
         """How far the decision is, in a few words."""
         words = f"that something has changed: {1 - self.outcomes[UNCHANGED]:.1%}"
         if self.verdict == UNDECIDED:
-            words += f", least excluded: {self.looks[-1].rival[0]}"
+            name = self.looks[-1].rival[0]
+            words += f", least excluded: {self.titles.get(name, name)}"
         return words
+
+    @property
+    def shown(self) -> tuple[Moved, ...]:
+        """The parts that have changed by more than their uncertainty allows; none if nothing has
+        changed, or if it is not decided."""
+        if self.verdict in (UNCHANGED, UNDECIDED):
+            return ()
+        return tuple(one for one in self.moved if abs(one.value) > SHOWN_SIGMAS * one.sigma)
+
+    @property
+    def cure(self) -> str:
+        """What to do if the model is not updated."""
+        if self.verdict == DEVICE_MOVED:
+            return f"keep MODEL, and put the {self._moved_device} back"
+        if self.verdict == UNDECIDED:
+            return "measure more of the planned poses; until then, keep MODEL"
+        return "keep MODEL"
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -138,10 +168,12 @@ class Recheck:
         if self.verdict == UNCHANGED:
             return ("the samples show no drift since the last calibration",)
         if self.verdict == DEVICE_MOVED:
+            part = {TARGET: f"the effect {TARGET_EFFECT}"}.get(
+                self._moved_device, "the sensor device_frame"
+            )
             return (
-                "the measuring device or its target moved since the last calibration, not the "
-                "robot: put it back, or add the sensor device_frame to the model, so that a fit "
-                "places it",
+                f"the {self._moved_device} moved since the last calibration, not the robot: put it "
+                f"back, or add {part} to the model, so that a fit places it",
             )
         if self.verdict == UNDECIDED:
             return (
@@ -149,14 +181,16 @@ class Recheck:
                 f"calibration ({self.progress}): measure more of the planned poses, and fit them "
                 "together with these",
             )
-        name, share = next((k, v) for k, v in self.parts.items() if k != DEVICE)
-        size = f"about {self.scale:.2g} times as far as usual (likeliest: {name}, {share:.0%})"
+        name = next(name for name in self.parts if name not in self._of_device)
+        share, name = self.parts[name], self.titles.get(name, name)
+        likeliest = f"likeliest: {name}, {format_percent(share)}"
+        size = f"about {self.scale:.2g} times as far as usual ({likeliest})"
         words = f"since the last calibration the robot drifted {size}"
         if self.verdict == CHANGED:
-            robot, device = self.outcomes[DRIFTED], self.outcomes[DEVICE_MOVED]
+            robot, device = (format_percent(self.outcomes[one]) for one in (DRIFTED, DEVICE_MOVED))
             words = (
-                f"either the robot drifted ({robot:.0%}), {size}, or the measuring device moved "
-                f"({device:.0%}); the samples do not tell which. Measure a fixed target as at the "
+                f"either the robot drifted ({robot}), {size}, or the measuring device moved "
+                f"({device}); the samples do not tell which. Measure a fixed target as at the "
                 "calibration: if it is where it was, the device stands, and the robot drifted. "
                 f"{self._describe_further_samples()}"
             )
@@ -166,6 +200,19 @@ class Recheck:
                 "calibration are worthwhile"
             )
         return (words,)
+
+    @property
+    def _of_device(self) -> list[str]:
+        """The names of the changes of the measuring device, the likeliest first."""
+        own = {name for name, kind in zip(self.names, self.kinds, strict=True) if kind == DEVICE}
+        return [name for name in self.parts if name in own]
+
+    @property
+    def _moved_device(self) -> str:
+        """What of the measuring device moved."""
+        likeliest = self._of_device[0]
+        known = self.parts[likeliest] >= self.certainty
+        return likeliest if known else "measuring device or its target"
 
     def _describe_further_samples(self) -> str:
         """Say whether more samples would tell a drift of the robot from a moved device."""
@@ -191,6 +238,7 @@ class Recheck:
             },
             "scale": self.scale,
             "parts": self.parts,
+            "moved": [one._asdict() for one in self.shown],
             "growth": expected and expected.growth,
             "error_if_kept": expected and expected.kept,
             "more_samples": expected and expected.more_samples,
@@ -262,7 +310,10 @@ def weigh_changes(
     expected = expect_drift(model, test, looks[-1], information, pull, certainty)
     kinds = tuple(one.kind for one in test.changes)
     names = tuple(one.name for one in test.changes)
-    return Recheck(tuple(looks), names, kinds, certainty, expected)
+    k = int(looks[-1].changed.sum(axis=1).argmax())
+    moved = test.estimate(k, SCALES[looks[-1].changed[k].argmax()], A, b)
+    titles = {one.name: one.parts[0].title for one in test.changes if one.kind == PART}
+    return Recheck(tuple(looks), names, kinds, certainty, expected, moved, titles)
 
 
 def check_certainty(certainty: float) -> None:
@@ -273,7 +324,9 @@ def check_certainty(certainty: float) -> None:
 
 def drift_prior(model: Model, found: Recheck) -> Prior:
     """Return the knowledge of today: the last calibration, widened by the drift that the samples
-    let expect. Raises FitError for a model without a covariance."""
+    let expect, unless they decide that the robot is as it was. Raises FitError for a model without
+    a covariance."""
     last = update_prior(model, 0.0)
-    drift = 0.0 if found.expected is None else found.expected.covariance
-    return Prior(last.names, last.mean, last.covariance + drift)
+    if found.expected is None or found.is_robot_unchanged:
+        return last
+    return Prior(last.names, last.mean, last.covariance + found.expected.covariance)

@@ -26,10 +26,13 @@ RIDGE = 1e-6  # of the largest singular value, columns in tolerances
 
 @dataclass(frozen=True)
 class Culprit:
-    """A usual drift: its name, and the change (n_parameters,) of the parameters by one sigma."""
+    """A usual drift: its name, the change (n_parameters,) of the parameters by one sigma, and this
+    sigma in a `unit` (m, rad or K)."""
 
     name: str
     change: np.ndarray
+    size: float
+    unit: str
 
 
 def list_culprits(model: Model) -> list[Culprit]:
@@ -37,10 +40,20 @@ def list_culprits(model: Model) -> list[Culprit]:
 
     They are as large as the history of the model states for this robot or its fleet, if it does."""
     sizes, rows = _read_sizes(model), list_drift_parts(model)
-    zeros = zip(model.joints, rows["zeros"], strict=True)
+    rate, warm = sizes["zeros"], sizes["temperature"]
+    shown = zip(
+        model.joints,
+        rows["zeros"],
+        _list_zero_sizes(model),
+        model.mechanism.joint_units,
+        strict=True,
+    )
     return [
-        *(Culprit(f"zero of {joint}", sizes["zeros"] * shift) for joint, shift in zeros),
-        Culprit("temperature", sizes["temperature"] * rows["temperature"][0]),
+        *(
+            Culprit(f"zero of {j}", rate * shift, rate * size, unit)
+            for j, shift, size, unit in shown
+        ),
+        Culprit("temperature", warm * rows["temperature"][0], warm * TEMPERATURE_SIGMA_DEGC, "K"),
     ]
 
 
@@ -54,19 +67,23 @@ def list_drift_parts(model: Model) -> dict[str, np.ndarray]:
     """List the parts of the usual drift: for each of `PARTS` independent changes (k, n_parameters),
     SI, by one sigma. Measuring set-ups and fixed parameters do not loosen."""
     table = model.table
-    zero = load_effect("zero_shift").table(model.mechanism)
-    sizes = np.array([zero[f"zero_shift.{joint}.since1"].tolerance for joint in model.joints])
     in_m = np.array([p.unit == "m" for p in table])
     geometry = np.array([p.group not in ("effect", "sensor") for p in table])
     growth = EXPANSION_PER_DEGC * TEMPERATURE_SIGMA_DEGC
     loose = list_robot_parameters(model) & ~np.asarray(model.fixed)
     settled = np.diag(LOOSENING_SHARE * table.tolerance)
     return {
-        "zeros": sizes[:, None] * _express_joint_shifts(model),
+        "zeros": _list_zero_sizes(model)[:, None] * _express_joint_shifts(model),
         "temperature": np.where(in_m & geometry, growth * model.values, 0.0)[None],
         "lengths": settled[loose & in_m],
         "others": settled[loose & ~in_m],
     }
+
+
+def _list_zero_sizes(model: Model) -> np.ndarray:
+    """List by how much the zero of each joint (nq,) usually drifts, rad or m."""
+    zero = load_effect("zero_shift").table(model.mechanism)
+    return np.array([zero[f"zero_shift.{joint}.since1"].tolerance for joint in model.joints])
 
 
 def list_robot_parameters(model: Model) -> np.ndarray:

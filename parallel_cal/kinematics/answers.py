@@ -151,6 +151,12 @@ class Differences:
         )
         return cls(None if r is None else position, None if R is None else orientation)
 
+    @property
+    def first(self) -> Differences:
+        """Those of the first solution alone."""
+        r, R = self.position, self.orientation
+        return Differences(None if r is None else r[:1], None if R is None else R[:1])
+
     def describe(self, mechanism: Mechanism) -> Iterator[str]:
         """Describe what the solutions do not meet, a sentence for position and orientation each."""
         parts = (

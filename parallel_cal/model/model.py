@@ -263,6 +263,13 @@ class Model:
             values[which], fixed[which] = value, True
         return replace(self, values=values, fixed=fixed)
 
+    def settings_of(self, *effects: str) -> np.ndarray:
+        """Return which parameters (n_parameters,) are settings of these effects, such as a ratio:
+        numbers that are known or searched for, and not identified."""
+        own = [one for one in self.effects if one.name in effects]
+        patterns = [pattern for one in own for pattern in one.fixed_patterns()]
+        return self.table.matching(patterns) & self.fixed
+
     def robot(self) -> Model:
         """Return the model as a controller needs it: effects of the measuring device are zero."""
         own = [f"{effect.name}.*" for effect in self.effects if effect.of_device]

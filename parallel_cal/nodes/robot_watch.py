@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.live_watch import STATE_SUFFIX, LiveWatch
 from parallel_cal.nodes.managed_node import ManagedNode
@@ -19,7 +20,6 @@ from parallel_cal.nodes.run import WorkerThreadGroup
 from parallel_cal.nodes.stream_memory import Memory
 from parallel_cal.nodes.tally import diagnostics
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.reporting.readable import format_percent
 from parallel_cal.reporting.watching import summarize_watch
 from parallel_cal.watch.watch import DAY, FALSE_ALARM_DAYS, Watch
 

@@ -95,11 +95,8 @@ class _Visits:
     def note(self) -> str:
         """What the directions of the joints were taken from, and how to state better ones."""
         return (
-            f"direction and travel of the joints were taken from the {self.where}, as if each "
-            "joint moved straight from row to row. If it did not, or if the rows were sorted or "
-            "picked from more visits, name columns direction.JOINT (1 if the reading of the joint "
-            "rose before the stop, else -1), or state visits: unordered in the column map. Nothing "
-            "is known of the sides of the first row: it counts as the middle of a backlash"
+            f"the sides from which the joints came were taken from the {self.where}: if it is not "
+            "that of the visits, state visits: unordered, or columns direction.JOINT"
         )
 
     def conditions(self, wanted: ColumnMap) -> dict[str, Array]:

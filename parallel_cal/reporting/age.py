@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.age import PROBABILITY, Age
 from parallel_cal.identification.drift_rate import PARTS, DriftRate
 from parallel_cal.reporting.blocks import Column, Number, Row, Table
-from parallel_cal.reporting.readable import day, format_percent, number
+from parallel_cal.reporting.readable import day, number
 from parallel_cal.reporting.watching import iso
 from parallel_cal.watch.watch import DAY
 

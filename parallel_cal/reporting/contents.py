@@ -372,11 +372,14 @@ def parameters(result: FitResult) -> dict[str, DescribedParameter]:
 def describe_parameters(
     model: Model, estimates: Mapping[str, ParameterEstimate]
 ) -> dict[str, DescribedParameter]:
-    """Describe the estimates of a model's parameters, by name."""
+    """Describe the estimates of a model's parameters, by name. A setting of an effect, such as a
+    lead, has not moved from a nominal value: what stood there before was a guess."""
     table, tolerances = model.table, model.usual_tolerance
+    settings = model.settings_of(*(one.name for one in model.effects))
+    unmoved = {n for n, is_one in zip(table.names, settings, strict=True) if is_one}
     return {
         name: DescribedParameter(
-            **vars(p),
+            **vars(p) | ({"nominal": p.value, "moved_tolerances": 0.0} if name in unmoved else {}),
             shown_name=table[name].shown_name,
             words=describe(name, table),
             sigma_tolerances=None if p.sigma is None else p.sigma / tolerance,

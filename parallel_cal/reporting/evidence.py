@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.next_measurement import PlannedPose
@@ -24,7 +25,6 @@ from parallel_cal.reporting.markup import (
     tabs,
 )
 from parallel_cal.reporting.readable import (
-    format_percent,
     value_unit,
     vector,
 )

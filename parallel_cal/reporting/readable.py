@@ -19,7 +19,6 @@ SMALL = SMALL_UNITS | {
 }
 LARGE = LARGE_UNITS | {"degC": ("°C", 1.0), "1": ("", 1.0)}
 MISSING = "–"
-HIGHEST_PERCENT = 99  # a probability is not stated more closely than its model is right
 WIDTH = 80  # columns of a terminal that every table should fit
 # Marks of cells, by which a terminal colours them and pages style them.
 HEADING, COMMAND, FOUND, ODD, LABEL = "heading", "command", "found", "odd", "label"
@@ -139,15 +138,6 @@ def name_p_value(shown: str) -> str:
 
 def percent(share: float | None, digits: int = 0, missing: str = MISSING) -> str:
     return f"{round(100 * share, digits) + 0.0:.{digits}f} %" if is_known(share) else missing
-
-
-def format_percent(probability: float) -> str:
-    """`84 %`; near certainty as `> 99 %`, near impossibility as `< 1 %`."""
-    if probability > HIGHEST_PERCENT / 100:
-        return f"> {HIGHEST_PERCENT} %"
-    if probability < 1 - HIGHEST_PERCENT / 100:
-        return f"< {100 - HIGHEST_PERCENT} %"
-    return f"{100 * probability:.0f} %"
 
 
 def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.reporting.blocks import Judgement, Table
-from parallel_cal.reporting.readable import format_percent
 
 MIN_SHARE = 0.01  # of a part that is listed
 # The style of the page for a verdict, and its words.

@@ -259,7 +259,9 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
     if hidden:
         yield f"--details lists {' and '.join(hidden)}"
     yield from map(Detail, reasons)
-    for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
+    excluded = {one.sample for one in diagnosis.knocked}  # the verdict and the next steps name them
+    odd = [one for one in diagnosis.odd_samples if one.sample not in excluded]
+    for one in odd[:MAX_CANDIDATES]:
         when = "" if math.isnan(one.time) else f"{one.time:.1f} s, "
         yield (
             f"{one.label}: sample {one.title} at {format_fixed_vector(one.place, 1e3, 1)} mm, "

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.diagnosis.patterns import compute_mean_profile
 from parallel_cal.diagnosis.signature import Panel, Signature
 from parallel_cal.diagnosis.thresholds import LEVELS
@@ -21,7 +22,6 @@ from parallel_cal.reporting.figures import (
 )
 from parallel_cal.reporting.joint_panels import MAX_POINTS_PER_JOINT
 from parallel_cal.reporting.readable import (
-    format_percent,
     number,
     value_unit,
     with_unit,

@@ -6,11 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.diagnosis.thresholds import CREDIBLE
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.model.effect import Effect
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
 from parallel_cal.reporting.blocks import Cell, Table
@@ -22,9 +24,9 @@ from parallel_cal.reporting.readable import (
     LABEL,
     ODD,
     error_unit,
-    format_percent,
     number,
     unit_of,
+    value_unit,
     with_sigma,
 )
 
@@ -34,12 +36,14 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.noise import NoiseLevel
     from parallel_cal.identification.estimate import Estimate
     from parallel_cal.identification.noise_floor import NoiseFloor
+    from parallel_cal.identification.recheck import Recheck
     from parallel_cal.model.model import Model
     from parallel_cal.posterior.scene import Scene
     from parallel_cal.session.steps import Step
 
 Writer = Callable[[Summary, Mapping[str, float]], str]
 PROGRAM = "parallel-cal"
+MAX_MOVED = 4  # parts that an update names
 HELD_OUT = " (rms at held-out poses)"
 IMITATES = "the error falls with it, but something else causes it"
 STATED = (
@@ -75,10 +79,17 @@ def summary_table(lines: Sequence[Line]) -> Table:
     return Table(("", ""), rows)
 
 
+def list_step(label: str, step: str) -> Iterator[Line]:
+    """List the lines of a step, `reason: command`, or one of the two: a command has its own."""
+    reason, is_command, words = step.partition(f"{PROGRAM} ")
+    if reason:
+        yield Line(label, reason.removesuffix(": ") if is_command else step)
+    if is_command:
+        yield Line("" if reason else label, f"{PROGRAM} {words}", COMMAND)
+
+
 def name_files(line: Line, names: Mapping[str, str]) -> Line:
-    """Replace the placeholders of a command, such as MODEL, by the files of this run."""
-    if line.mark != COMMAND:
-        return line
+    """Replace the placeholders of a step, such as MODEL, by the files of this run."""
     words = [names.get(word, word) for word in line.text.split(" ")]
     return line._replace(text=" ".join(words))
 
@@ -90,7 +101,12 @@ def describe_result_errors(after: Summary, before: Summary | None, noise: Summar
 
 
 def _summarize_step(step: Step) -> Iterator[Line]:
-    yield from _summarize_fit(step.result, (step.errors_to_beat, step.sigmas_to_beat))
+    for line in _summarize_fit(step.result, (step.errors_to_beat, step.sigmas_to_beat)):
+        yield line
+        if line.label == "after:" and step.name == "add":
+            added = str(step.model.history[-1]["effect"]).split("+")
+            sized = " and ".join(describe_effect(step.model, name) for name in added)
+            yield Line("with:", sized, FOUND)
 
 
 def _summarize_fit(
@@ -104,6 +120,7 @@ def _summarize_fit(
     write = _writer(result.model, after, noise)
     yield Line("before:", write(*before) + HELD_OUT)
     yield Line("after:", write(after, result.rms_sigmas(result.held_out)), FOUND)
+    yield from _state_moved(result.drift)
     yield _state_noise(write, result.simulated_noise, result, result.estimate)
     if (odd := result.outliers) is not None:
         verb = "contradicts" if len(odd.titles) == 1 else "contradict"
@@ -149,6 +166,20 @@ def _judge_by_revisits(judged: FitResult | Comparison) -> NoiseLevel:
     return NoiseLevel.of(scene, Field.of(scene), structured=False)
 
 
+def _state_moved(drift: Recheck | None) -> Iterator[Line]:
+    """State how far the parts that an update found changed are from the last calibration."""
+    texts = []
+    for one in drift.shown[:MAX_MOVED] if drift is not None else ():
+        unit, factor = value_unit(one.unit)
+        size = with_sigma(one.value, one.sigma, factor).replace("±", "+-")
+        sigmas = f"{abs(one.value) / one.sigma:.0f} sigma"
+        texts.append(f"{one.title} by {size} {unit} ({sigmas})")
+    if drift is not None and (more := len(drift.shown) - MAX_MOVED) > 0:
+        texts.append(f"{more} more")
+    if texts:
+        yield Line("moved:", f"{', '.join(texts)} since the last calibration", FOUND)
+
+
 def _state_noise(
     write: Writer, noise: NoiseFloor, judged: FitResult | Comparison, residual: Estimate | Scene
 ) -> Line:
@@ -163,10 +194,38 @@ def _state_noise(
     return Line("noise:", shown + STATED * (small and not judged.observations.noise_assumed))
 
 
-def describe_largest_joint(model: Model, effect: str) -> str:
-    """Name an effect of a model, with the joint in which it is largest and its sizes,
-    `backlash (largest in joint2: 2.1 arcmin, others up to 0.9)`; the name alone if its parameters
-    do not belong to all joints in one unit."""
+def describe_effect(model: Model, effect: str, sigmas: Mapping[str, float] | None = None) -> str:
+    """Name an effect of a model, with what its numbers say to people: `backlash (largest in joint2:
+    2.1 arcmin, others up to 0.9)`, `gear_transmission_error (ratio 17.24 +- 0.20)`. `sigmas` are
+    those of its settings, by the names that these have in a diagnosis."""
+    sizes, settings = _describe_largest_joint(model, effect), list_settings(model, effect)
+    known = {key.rpartition(".")[2]: sigma for key, sigma in (sigmas or {}).items()}
+    shown = [sizes] if sizes else []
+    for key, (values, unit) in settings.items():
+        name, factor = value_unit(unit)
+        text = " to ".join(f"{factor * value:.5g}" for value in sorted({min(values), max(values)}))
+        if key in known and len(values) == 1:
+            text = with_sigma(min(values), known[key], factor).replace("±", "+-")
+        shown.append(f"{key} {text} {'' if name == '1' else name}".rstrip())
+    return f"{effect} ({'; '.join(shown)})" if shown else effect
+
+
+def list_settings(model: Model, effect: str) -> dict[str, tuple[set[float], str]]:
+    """List the numbers of an effect that a diagnosis searches for, such as a lead or a ratio: their
+    values in all joints and their unit, by name."""
+    if type(load_effect(effect)).scan is Effect.scan:
+        return {}
+    found = dict[str, tuple[set[float], str]]()
+    chosen = model.settings_of(effect)
+    for p, value, is_one in zip(model.table, model.values.tolist(), chosen, strict=True):
+        if is_one:
+            found.setdefault(p.name.rpartition(".")[2], (set(), p.unit))[0].add(value)
+    return found
+
+
+def _describe_largest_joint(model: Model, effect: str) -> str:
+    """Name the joint in which an effect is largest, and its sizes; empty if its parameters do not
+    belong to all joints in one unit."""
     sizes, units = dict.fromkeys(model.joints, 0.0), set[str]()
     for p, value, fixed in zip(model.table, model.values, model.fixed, strict=True):
         own, _, rest = p.name.partition(".")
@@ -175,11 +234,11 @@ def describe_largest_joint(model: Model, effect: str) -> str:
             units.add(p.unit)
             sizes[joint] = math.hypot(sizes[joint], value)
     if len(sizes) < 2 or units not in ({"m"}, {"rad"}):
-        return effect
+        return ""
     unit, factor = error_unit(units.pop())
     *_, second, first = sorted(sizes, key=sizes.__getitem__)
     most, others = (f"{factor * sizes[name]:.3g}" for name in (first, second))
-    return f"{effect} (largest in {first}: {most} {unit}, others up to {others})"
+    return f"largest in {first}: {most} {unit.replace('µ', 'u')}, others up to {others}"
 
 
 def count_revisits(noise: NoiseFloor) -> str:
@@ -197,8 +256,10 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     yield Line("now:", write(now, base.rms_sigmas(base.held_out)) + HELD_OUT)
     if diagnosis.effects:
         errors = write(best.held_out.summary, best.rms_sigmas(best.held_out))
-        sized = [describe_largest_joint(best.model, name) for name in diagnosis.effects]
+        known = {name: one.sigma for name, one in diagnosis.explanation.settings.items()}
+        sized = [describe_effect(best.model, name, known.get(name)) for name in diagnosis.effects]
         yield Line("with it:", f"{errors} with {' and '.join(sized)}", FOUND)
+    yield from _state_moved(diagnosis.drift)
     yield _state_noise(write, best.simulated_noise, best, best.estimate)
     likely, imitators = _divide(diagnosis.missing)
     for cause in likely:
@@ -213,10 +274,7 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     what = f", described best by an unknown {' and an unknown '.join(laws)}" if laws else ""
     yield Line("left:", f"{diagnosis.left}{what}")
     for number_of_step, step in enumerate(diagnosis.next_steps):
-        reason, is_command, words = step.partition(f": {PROGRAM} ")
-        yield Line("then:" if number_of_step else "next:", reason)
-        if is_command:
-            yield Line("", f"{PROGRAM} {words}", COMMAND)
+        yield from list_step("then:" if number_of_step else "next:", step)
 
 
 def describe_missing(diagnosis: Diagnosis) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.fit import ParameterEstimate
@@ -27,7 +28,6 @@ from parallel_cal.reporting.names import title_of
 from parallel_cal.reporting.readable import (
     error_unit,
     format_judged_errors,
-    format_percent,
     is_known,
     number,
     percent,

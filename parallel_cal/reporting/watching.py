@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.units import SMALL_UNITS
 from parallel_cal.reporting.blocks import Block, Column, Detail, Number, Table
-from parallel_cal.reporting.readable import day, format_percent, number, with_sigma
+from parallel_cal.reporting.readable import day, number, with_sigma
 from parallel_cal.watch.changes import DRIFT, LOOSE, NOISE, STEP, WARM
 from parallel_cal.watch.confirmation import Confirmation
 from parallel_cal.watch.watch import DAY, Suspect, Watch

@@ -76,7 +76,7 @@ def test_a_change_of_robot_or_device_writes_no_model(tmp_path):
     looks = [Look(k + 1, 1e-6, np.full((2, 5), 0.1), ("zero of joint1", 9.0)) for k in samples]
     found = Recheck(tuple(looks), names, kinds)
     assert (found.verdict, found.decision, needs_more(found)) == ("changed", (3, "changed"), True)
-    assert "or the measuring device moved (50%)" in found.warnings[0]
+    assert "or the measuring device moved (50 %)" in found.warnings[0]
     assert "More poses like these hardly tell" in found.warnings[0]
     cell = DriftedCell(seed=SEED)
     campaign = Campaign(tmp_path, calibrated(SEED), GOAL, cell)

@@ -52,3 +52,20 @@ def test_the_proposed_commands_end_and_each_continues_with_the_model_of_the_last
         found = re.search(r"parallel-cal (.*)", said)
         command = shlex.split(found[1]) if found and followed[-1] != "report" else []
     assert followed == verbs
+
+
+@pytest.mark.parametrize(
+    ("options", "step"),
+    [
+        ([], "parallel-cal diagnose drawing.yaml bag"),
+        (["--hold-out", "0"], "hold poses out (--hold-out)"),
+    ],
+)
+def test_a_fit_that_would_be_refused_ends_with_the_cure_and_not_with_a_file_for_its_model(
+    tmp_path, monkeypatch, run_cli, options, step
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drawing.yaml").write_text(DRAWING.read_text())
+    run_cli("simulate", "drawing.yaml", "--poses", "30", "-o", "bag")
+    said = run_cli("fit", "drawing.yaml", "bag", *options)
+    assert said.rpartition("\nnext:")[2].strip() == step

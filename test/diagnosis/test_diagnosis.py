@@ -27,6 +27,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.reporting.results import describe
 from parallel_cal.reporting.text import show
 from parallel_cal.session.steps import add
 from parallel_cal.virtual import robot as vr
@@ -549,6 +550,8 @@ def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
     assert [one.sample for one in found.knocked] == [17]
     assert "backlash" in found.verdict.summary
     assert found.verdict.remarks[-1].startswith("Not used: sample 17 (")
+    shown = [one for one in describe(found) if isinstance(one, str)]
+    assert not any(": sample 17 at" in one for one in shown)  # it is listed once
     check, command = found.document()["next_steps"]
     assert check == "check sample 17: the commands below exclude it"
     assert command.split(" -o ")[0].endswith("add MODEL backlash RECORDING --data exclude=17")

@@ -3,16 +3,21 @@
 import numpy as np
 import pytest
 from datasets import measured
+from virtual_setups import random_delta
 
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis import causes as linear
 from parallel_cal.diagnosis import explanation
 from parallel_cal.diagnosis.addition import find_addition, with_given_model_of
 from parallel_cal.diagnosis.causes import Causes
+from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.identification.fit import fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.reporting.summary import summarize
+from parallel_cal.session.steps import add
 from parallel_cal.virtual import robot as vr
 
 PLAY = Chosen("backlash")
@@ -74,3 +79,64 @@ def test_an_effect_is_added_beside_those_that_the_compared_model_does_not_have(s
     )
     names = [effect.name for effect in found.result.model.effects]
     assert names == ["backlash", "encoder_gain"]
+
+
+def with_law(law, seed=0, n=150):
+    """Samples of a Delta of points and rods whose joint 2 errs by a law (rad) of its standardised
+    readings; the joints mostly came from below where their readings are large."""
+    rng = np.random.default_rng(seed)
+    r = rng.uniform((-0.06, -0.06, 0.14), (0.06, 0.06, 0.26), (n, 3))
+    q = random_delta(0).inverse(r)[0]
+    z = (q - q.mean(axis=0)) / q.std(axis=0)
+    sides = np.where(z + 0.5 * rng.standard_normal(z.shape) > 0, 1.0, -1.0)
+    q[:, 1] += law(z, sides)
+    model = new_model("delta24")
+    return model, Dataset.from_arrays(
+        model.joints,
+        q + rng.normal(0, 2e-5, q.shape),
+        r + rng.normal(0, 3e-5, r.shape),
+        measured=[True] * 3 + [False] * 3,
+        pose_cov=np.diag([3e-5**2] * 3 + [1e6] * 3),
+        joint_sigma=[2e-5] * 3,
+        conditions={f"direction.{j}": sides[:, i] for i, j in enumerate(model.joints)},
+    )
+
+
+@pytest.mark.parametrize(
+    ("law", "depends"),
+    [
+        (lambda z, sides: 2e-3 * np.tanh(2 * z[:, 1]), False),
+        (lambda z, sides: 1e-3 * sides[:, 1] + 2e-3 * np.tanh(2 * z[:, 1]), True),
+    ],
+)
+def test_a_direction_that_follows_the_readings_is_not_blamed_for_a_law_of_these(law, depends):
+    model, data = with_law(law)
+    found = diagnose(model, data, effects=["device_axes"])
+    assert found.left == "yes"
+    assert (found.remaining is not None and found.remaining.name == "direction") == depends
+
+
+def test_an_unknown_law_of_one_joint_is_named_with_this_joint():
+    model, data = with_law(lambda z, sides: 2e-3 * np.tanh(2 * z[:, 0] * z[:, 2]))
+    found = diagnose(model, data, effects=["device_axes"])
+    assert [*found.explanation.laws] == ["law of joint2"]
+    [left] = [line.text for line in summarize(found) if line.label == "left:"]
+    assert left.startswith("yes, described best by an unknown law of joint2 (")
+
+
+def test_what_the_effects_of_a_verdict_left_is_unexplained_once_the_model_has_them():
+    model, data = with_law(
+        lambda z, sides: 1e-3 * sides[:, 1] + 5e-4 * np.tanh(2 * z[:, 0] * z[:, 2])
+    )
+    first = diagnose(model, data, effects=["backlash"])
+    assert (first.effects, first.verdict.word, first.left) == (
+        ("backlash",),
+        "partly_explained",
+        "yes",
+    )
+    better = add(model, "backlash", data, force=True).model
+    second = diagnose(better, data, effects=["device_axes"])
+    assert (second.effects, second.verdict.word, second.left) == ((), "unexplained", "yes")
+    assert "no effect of the catalogue, beside backlash of the model, explains it" in (
+        second.verdict.summary
+    )

@@ -180,8 +180,8 @@ def test_a_missing_effect_and_noise_make_no_outlier(seed):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([], "parallel-cal fit m.yaml s.json --data=exclude=3,20 -o fitted.yaml"),
-        (["--prior"], "the same command with --data exclude=3,20"),
+        ([], " parallel-cal fit m.yaml s.json --data=exclude=3,20 -o fitted.yaml"),
+        (["--prior"], ": the same command with --data exclude=3,20"),
     ],
 )
 def test_fit_ends_with_the_command_that_fits_without_an_outlier(
@@ -195,7 +195,7 @@ def test_fit_ends_with_the_command_that_fits_without_an_outlier(
         main(["fit", "m.yaml", "s.json", "--data", "exclude=3", "--hold-out", "0.25", *options])
     following = capsys.readouterr().out.partition("next:")[2]
     shown = " ".join(following.replace("\\\n", " ").split())
-    assert shown == f"check sample 20, and fit without it if wrong {words}"
+    assert shown == f"check sample 20, and fit without it if wrong{words}"
 
 
 def test_a_model_that_was_fitted_with_an_outlier_may_be_fitted_without_it():

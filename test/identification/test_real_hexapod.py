@@ -108,5 +108,5 @@ def test_the_command_fits_the_table_as_it_is(hexapod, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main([str(word) for word in words])
     assert ended.value.code == 0, capsys.readouterr().err
-    assert "direction and travel of the joints were taken" in capsys.readouterr().err
+    assert "the sides from which the joints came were taken" in capsys.readouterr().err
     assert read_model(tmp_path / "better.yaml").mechanism.drives == hexapod[0].mechanism.drives

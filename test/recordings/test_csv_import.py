@@ -592,8 +592,8 @@ def test_directions_and_travels_follow_the_order_of_visits_and_this_is_stated(fi
     np.testing.assert_array_equal(data.conditions["direction.slide"], [0, 0, -1, 1])
     np.testing.assert_allclose(data.conditions["travel.slide"], [0, 0, -3e-3, 7e-3], atol=1e-15)
     [note] = data.warnings
-    assert "direction and travel of the joints were taken from the order of the rows" in note
-    assert note.endswith("the sides of the first row: it counts as the middle of a backlash")
+    assert "the joints came were taken from the order of the rows: if it is not that of" in note
+    assert note.endswith("state visits: unordered, or columns direction.JOINT")
 
 
 def test_what_several_recordings_share_is_stated_once_with_their_names(files, tmp_path):
@@ -606,8 +606,8 @@ def test_what_several_recordings_share_is_stated_once_with_their_names(files, tm
     )
     own = replace(one, sha256="third", source="third.csv", warnings=("third.csv: too short",))
     note, third = join_datasets([one, other, own]).warnings
-    assert note.startswith(f"{one.source}, second.csv: direction and travel of the joints were")
-    assert note.count("direction and travel of the joints were taken") == 1
+    assert note.startswith(f"{one.source}, second.csv: the sides from which the joints came were")
+    assert note.count("the joints came were taken") == 1
     assert third == "third.csv: too short"
 
 

@@ -11,13 +11,15 @@ import pytest
 from datasets import measured
 
 import parallel_cal as pc
-from parallel_cal.cli.calibration import command_line, write_program
+from parallel_cal.cli.calibration import Given, write_program
+from parallel_cal.identification.fit import summarise_parameters
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting import console
 from parallel_cal.reporting.blocks import Cell, Detail, PValue, Table, as_text, uncover
+from parallel_cal.reporting.contents import describe_parameters
 from parallel_cal.reporting.readable import COMMAND, FOUND, columns
 from parallel_cal.reporting.results import describe_fit
-from parallel_cal.reporting.summary import describe_largest_joint, describe_missing, summarize
+from parallel_cal.reporting.summary import describe_effect, describe_missing, list_step, summarize
 
 ROOT = Path(__file__).parents[2]
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
@@ -195,8 +197,10 @@ def test_a_proposed_command_finds_effects_of_ones_own(tmp_path, monkeypatch):
     assert write_program(model) == "PYTHONPATH=. parallel-cal"
     assert write_program(model.without_effect("own_play")) == "parallel-cal"
     assert write_program(model, [tmp_path / "a b"]) == "PYTHONPATH='a b:.' parallel-cal"
-    shown = command_line(["diagnose", Path("a b.yaml")], model, [Path("bag")], ["exclude=3"])
-    assert shown == "PYTHONPATH=. parallel-cal diagnose 'a b.yaml' bag --data=exclude=3"
+    given = Given(Path("a b.yaml"), [Path("bag")], ["exclude=3"], update=True)
+    [shown] = given.fill(list_step("next:", "parallel-cal diagnose MODEL RECORDING"), model)
+    command = "PYTHONPATH=. parallel-cal diagnose 'a b.yaml' bag --data=exclude=3 --update"
+    assert shown == ("next:", command, COMMAND)
 
 
 @pytest.mark.parametrize(("factor", "named"), [(1.0, False), (4.0, True)])
@@ -220,13 +224,21 @@ def test_the_joint_in_which_an_effect_is_largest_is_named_with_its_size():
     sines = {"encoder_eccentricity.joint3.sin": 3e-4, "encoder_eccentricity.joint3.cos": 4e-4}
     known = model.table.mapping(model.values) | values | sines
     model = model.with_values(np.array([known[name] for name in model.table.names]))
-    said = describe_largest_joint(model, "backlash")
+    said = describe_effect(model, "backlash")
     assert said == "backlash (largest in joint2: 3.09 arcmin, others up to 1.03)"
-    assert "(largest in joint3: 1.72 arcmin, others up to 0)" in describe_largest_joint(
+    assert "(largest in joint3: 1.72 arcmin, others up to 0)" in describe_effect(
         model, "encoder_eccentricity"
     )
+    gear = new_model("delta54").with_effect("gear_transmission_error", {"ratio": 80.0})
+    said = describe_effect(gear, "gear_transmission_error", {"ratio": 0.25})
+    assert said.endswith("; ratio 80.00 +- 0.25)")
+    assert gear.settings_of("gear_transmission_error").sum() == 1
+    ratio = describe_parameters(
+        gear, summarise_parameters(gear, np.full(len(gear.values), np.nan), gear.fixed)
+    )["gear_transmission_error.ratio"]
+    assert (ratio.nominal, ratio.moved_tolerances) == (80.0, 0.0)
     cable = new_model("delta54", effects=("thermal_expansion",))
-    assert describe_largest_joint(cable, "thermal_expansion") == "thermal_expansion"
+    assert describe_effect(cable, "thermal_expansion") == "thermal_expansion"
 
 
 def test_noise_that_only_revisits_show_bounds_what_may_be_missing():

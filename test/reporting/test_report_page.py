@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from datasets import measured
 
+from parallel_cal.base.confidence import format_percent
 from parallel_cal.diagnosis.patterns import OddSample, Region
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting import failures
@@ -19,7 +20,7 @@ from parallel_cal.reporting.certificate import CertificateFields
 from parallel_cal.reporting.figures import parameter_bars
 from parallel_cal.reporting.multiples import multiples, peak
 from parallel_cal.reporting.page import page
-from parallel_cal.reporting.readable import format_percent, round_to_sigma
+from parallel_cal.reporting.readable import round_to_sigma
 from parallel_cal.reporting.report import report
 from parallel_cal.reporting.tables import candidate_table
 from parallel_cal.session.steps import fitted
