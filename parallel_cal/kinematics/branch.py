@@ -7,43 +7,77 @@ from __future__ import annotations
 
 import numpy as np
 
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.newton import short_step
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.model.model import Model
 
 MIN_STEP_FRACTION = 2.0**-12  # of a path; below it the branch has ended
 PATH_GROWTH = 1.5  # of a step that stayed on the branch
 MAX_PATH_STEPS = 100  # as many as a descent may take; most paths need fewer than 30
+SAME_SOLUTION = 1e-5  # m, rad: two ends of a path that differ by less are one solution
 
 
 def follow_from_home(
-    problem: Problem, judge: Problem, to: np.ndarray, row: np.ndarray
-) -> np.ndarray | None:
-    """Move what `problem` is given in a straight line from home to `to` (nq + 12,), and follow its
-    solution; None where the branch ends.
+    problem: Problem, to: np.ndarray, rows: np.ndarray, judge: Problem | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move what `problem` is given in straight lines from home to `to` (N, nq + 12 + nu), and
+    follow its solutions, of all samples at once.
 
-    On the whole path the solution stays on home's side of the singularities of `judge`. `row` are
-    the conditions. Returns a configuration.
+    On the whole path they stay on home's side of the singularities, also of those of `judge`.
+    `rows` are the conditions. Returns whether each path was followed to its end, and the last
+    configurations on it.
     """
     model = problem.model
-    home = model.configuration(model.mechanism.home.configuration)
-    change = model.configuration(to).change_from(home)
-    here = problem.settle(home.rows, row)
-    t, step = 0.0, 1.0
+    line = _Line(problem, to)
+    here, alive = problem.settle(np.tile(problem.home, (len(to), 1)), rows)
+    t, step = np.zeros(len(to)), np.ones(len(to))
     for _ in range(MAX_PATH_STEPS):
-        if here is None or t == 1.0 or step < MIN_STEP_FRACTION:
+        some = np.flatnonzero(alive & (t < 1) & (step >= MIN_STEP_FRACTION))
+        if not len(some):
             break
-        target = min(t + step, 1.0)
-        begin = problem.begin_from(home.apply_change(target * change).rows, here)
-        there = problem.settle(begin, row)
-        if (
-            there is not None
-            and is_short_step(model, here, there)
-            and judge.is_on_home_side(there, row)
-        ):
-            here, t, step = there, target, PATH_GROWTH * step
-        else:
-            step /= 2
-    return here if t == 1.0 else None
+        target = np.minimum(t[some] + step[some], 1.0)
+        begin = problem.begin_from(line.at(target, some), here[some])
+        there, kept = problem.settle(begin, rows[some])
+        kept &= is_short_step(model, here[some], there)
+        if judge is not None:
+            for k in np.flatnonzero(kept):
+                kept[k] = judge.is_on_home_side(there[k], rows[some[k]])
+        here[some[kept]], t[some[kept]] = there[kept], target[kept]
+        step[some] *= np.where(kept, PATH_GROWTH, 0.5)
+    return alive & (t == 1.0), here
+
+
+class _Line:
+    """Straight lines from home to configurations (N, nq + 12 + nu); the platform turns about one
+    axis."""
+
+    def __init__(self, problem: Problem, to: np.ndarray):
+        n, self._home = len(problem.model.joints), problem.home
+        self._turns, R = slice(n + 3, n + 12), problem.home[n + 3 : n + 12].reshape(3, 3)
+        turn = rotation_vector(to[:, self._turns].reshape(-1, 3, 3) @ R.T)
+        self._way, self._angle = to - self._home, np.linalg.norm(turn, axis=1, keepdims=True)
+        axis = turn / np.where(self._angle > 0, self._angle, 1.0)
+        across = np.cross(axis[:, None], R.T[None]).swapaxes(1, 2)
+        again = np.cross(axis[:, None], across.swapaxes(1, 2)).swapaxes(1, 2)
+        self._across, self._again = across.reshape(-1, 9), again.reshape(-1, 9)
+
+    def at(self, t: np.ndarray, some: np.ndarray) -> np.ndarray:
+        """Return the configurations at shares t of some lines, by Rodrigues' formula."""
+        x = self._home + t[:, None] * self._way[some]
+        angle = t[:, None] * self._angle[some]
+        turned = np.sin(angle) * self._across[some] + (1 - np.cos(angle)) * self._again[some]
+        x[:, self._turns] = self._home[self._turns] + turned
+        return x
+
+
+def is_same_solution(model: Model, one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two configurations (nq + 12 + nu,) are equal up to whole turns of passive joints."""
+    passive, off = len(model.mechanism.passive), np.abs(one - other)
+    turn = 2 * np.pi * np.array([unit == "rad" for unit in model.mechanism.passive_units])
+    u = off[len(off) - passive :]
+    u -= turn * np.round(u / (2 * np.pi))
+    return bool(np.abs(off).max() < SAME_SOLUTION)
 
 
 def is_jump(problem: Problem, begin: np.ndarray, end: np.ndarray, row: np.ndarray) -> bool:
@@ -52,11 +86,7 @@ def is_jump(problem: Problem, begin: np.ndarray, end: np.ndarray, row: np.ndarra
     return not same and not is_short_step(problem.model, begin, end)
 
 
-def is_short_step(model: Model, here: np.ndarray, there: np.ndarray) -> bool:
-    """Whether two configurations (nq + 12 + nu,) are so near that they are on the same branch,
-    unless a determinant changed its sign between them. A jump to another branch is finite, however
-    short the step; these bounds are well below it."""
-    n = len(model.joints)
-    q, r, R9, u = np.split(np.abs(there - here), (n, n + 3, n + 12))
-    swung = max(q.max(), u.max(initial=0.0))
-    return bool(max(r.max() / model.mechanism.length / 4, R9.max(), swung / 2) < 0.25)
+def is_short_step(model: Model, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Whether configurations (..., nq + 12 + nu) are so near to others that they are on the same
+    branches, unless a determinant changed its sign between them."""
+    return np.asarray((np.abs(there - here) < short_step(model.mechanism)).all(axis=-1))

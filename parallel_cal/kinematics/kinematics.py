@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 from parallel_cal.base.arguments import require, require_model
 from parallel_cal.base.compiled import Single
 from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics.branch import follow_from_home, is_jump, is_short_step
+from parallel_cal.kinematics.branch import is_jump
+from parallel_cal.kinematics.home_branch import Samples, wrap_towards_home
 from parallel_cal.kinematics.one_sample import FastSolver, fast_solver
 from parallel_cal.kinematics.problem import Problem
-from parallel_cal.kinematics.rows import joint_rows, limits_in, pose_rows
+from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
     MAX_SETTLED_STEP_M,
-    MIN_REGULAR_SINGULAR_VALUE,
     SUSPECT_PIVOT,
     Solutions,
     Status,
@@ -324,8 +324,8 @@ class Kinematics:
         begin: np.ndarray | None = None,
         any_branch: bool = False,
     ) -> Solutions:
-        """Assign a status to each sample; a path from home repeats what did not converge or did so
-        on another branch, and the robust solver what it does not reach."""
+        """Assign a status to each sample. What did not converge, or may have done so on another
+        branch, is followed from home; the robust solver searches for what this does not reach."""
         n = self._n
         x, step, residual, pivot = self._wrap_and_refine(problem, NewtonResult(*reached), rows)
         status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
@@ -333,76 +333,28 @@ class Kinematics:
         status[~finite] = Status.INVALID_INPUT
         x[~finite], residual[~finite] = np.nan, np.nan
         settled = (step < MAX_SETTLED_STEP_M) & (residual < problem.largest)
-        open_ = finite & ~settled
-        status[open_] = Status.NOT_CONVERGED
-        followed = np.zeros(len(x), dtype=bool)
-        for i in np.flatnonzero(open_) if not self._quick else ():
-            found = None if begin is not None else self._follow(problem, rows[i], given[i])
-            followed[i] = found is not None
-            found = found or self._solve_carefully(problem, x[i], rows[i], given[i])
-            x[i], residual[i], status[i] = found
+        status[finite & ~settled] = Status.NOT_CONVERGED
         suspect = finite & ~(settled & (pivot > SUSPECT_PIVOT))
-        for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
-            if problem.smallest_singular_value(x[i], rows[i]) < MIN_REGULAR_SINGULAR_VALUE:
-                status[i] = Status.SINGULAR
-            elif begin is None and not followed[i]:
-                x[i], residual[i], status[i] = self._stay_on_home_branch(
-                    problem, x[i], rows[i], given[i], bool(settled[i])
-                )
-            elif begin is not None and not any_branch and is_jump(problem, begin[i], x[i], rows[i]):
-                status[i] = Status.OTHER_BRANCH
+        samples = Samples(problem, given, rows, x, residual, status)
+        samples.mark_singular(suspect)
+        if begin is None:
+            doubted = suspect & (status != Status.SINGULAR)
+            for i in np.flatnonzero(doubted & settled):
+                doubted[i] = not samples.is_trusted(i, pivot[i])
+            if self._quick:
+                doubted &= settled
+            other = self.direct_problem if problem.unknown_joints else self.inverse_problem
+            samples.return_to_home_branch(other, doubted, self._quick)
+        else:
+            for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
+                if not any_branch and is_jump(problem, begin[i], x[i], rows[i]):
+                    status[i] = Status.OTHER_BRANCH
+            if not self._quick:
+                samples.descend(finite & ~settled)
+        samples.mark_singular(finite & ~settled)
         inside = ((x[:, :n] >= problem.low) & (x[:, :n] <= problem.high)).all(axis=1)
         status[~inside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
         return Solutions.of(x, residual, status, len(self.model.mechanism.passive))
-
-    def _solve_carefully(
-        self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray
-    ) -> tuple[np.ndarray, float, Status]:
-        """Solve one sample with the robust solver, and undo whole turns that it made."""
-        x, residual, status = problem.solve_carefully(x, row, given)
-        q = _wrap_towards_home(x[: self._n], problem.unknown_joints, self.model)
-        if (q == x[: self._n]).all():
-            return x, residual, status
-        turned = np.concatenate([q, x[self._n :]])
-        if not self.model.effects:
-            return turned, residual, status
-        return problem.solve_carefully(turned, row, given)
-
-    def _follow(
-        self, problem: Problem, row: np.ndarray, given: np.ndarray
-    ) -> tuple[np.ndarray, float, Status] | None:
-        """Follow the solution while the readings (or the pose) move from home to those given; None
-        if the branch ends on this path."""
-        x = follow_from_home(problem, problem, given, row)
-        if x is None:
-            return None
-        x[: self._n] = _wrap_towards_home(x[: self._n], problem.unknown_joints, self.model)
-        return x, problem.residual(x, row), Status.CONVERGED
-
-    def _stay_on_home_branch(
-        self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray, settled: bool
-    ) -> tuple[np.ndarray, float, Status]:
-        """Return the solution on the branch of home, if x is not known to be on it.
-
-        It is if Newton's method settled on the side of the singularities on which this branch is.
-        Otherwise the readings (or the pose) move from home to those given; if the branch ends on
-        this path, as it did where Newton's method did not settle, x is joined with home by a path
-        of the other coordinates.
-        """
-        side = problem.is_on_home_side(x, row)
-        keeps_side = problem.begins_on_home_side(given, row) == side
-        if (settled and keeps_side) or not problem.calls.home_sign:
-            return x, problem.residual(x, row), Status.CONVERGED
-        if settled and not self._quick:
-            followed = self._follow(problem, row, given)
-            if followed is not None:
-                return followed
-        if side and not self._quick:
-            other = self.direct_problem if problem.unknown_joints else self.inverse_problem
-            end = follow_from_home(other, problem, x, row)
-            if end is not None and is_short_step(self.model, end, x):
-                return x, problem.residual(x, row), Status.CONVERGED
-        return x, problem.residual(x, row), Status.OTHER_BRANCH
 
     def _wrap_and_refine(
         self, problem: Problem, reached: NewtonResult, rows: np.ndarray
@@ -410,16 +362,17 @@ class Kinematics:
         """Move solved angles near home, then iterate further where the last step is large."""
         x, *measures = reached
         step, residual, pivot = (part.reshape(-1) for part in measures)
-        q = _wrap_towards_home(x[:, : self._n], problem.unknown_joints, self.model)
+        q = wrap_towards_home(x[:, : self._n], problem.unknown_joints, self.model)
         if self.model.effects:  # An effect need not repeat after a turn: iterate again from there.
             step[(q != x[:, : self._n]).any(axis=1)] = 1.0
         x[:, : self._n] = q
         result = NewtonResult(x, step, residual, pivot)
         open_ = np.flatnonzero(np.isfinite(step) & (step >= MAX_SETTLED_STEP_M))
         if len(open_):
-            further = problem.refine(x[open_], rows[open_])
+            further, went_far = problem.refine(x[open_], rows[open_]), pivot[open_] <= 0.0
             for array, new in zip(result, further, strict=True):
                 array[open_] = new.reshape(array[open_].shape)
+            pivot[open_[went_far]] *= -np.sign(pivot[open_[went_far]])
         return result
 
     # ------------------------------------------------------------------ uncertainty
@@ -479,20 +432,3 @@ class Kinematics:
     @cached_property
     def _closure(self) -> Single:
         return Single(self.model.structure.closure)
-
-
-def _wrap_towards_home(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
-    """Move solved angles by whole turns to within half a turn of home, or by one more turn if only
-    that is inside the limits."""
-    if not unknown or not model.mechanism.periodic:
-        return q
-    turn = model.mechanism.joint_periods
-    home = np.array(model.mechanism.home.joints)
-    low, high = limits_in("inverse", model.mechanism).T
-    q = q - turn * np.round((q - home) / (2 * np.pi))
-    outside = (q < low) | (q > high)
-    if not outside.any():
-        return q
-    other = q - turn * np.sign(q - home)
-    better = outside & (low <= other) & (other <= high)
-    return np.where(better, other, q)

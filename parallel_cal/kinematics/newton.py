@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 from operator import mul
@@ -14,7 +14,13 @@ import numpy as np
 from parallel_cal.base.compiled import dense
 from parallel_cal.base.rotation import cayley, exponential
 from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE
-from parallel_cal.kinematics.start import start_function, unknown_columns
+from parallel_cal.kinematics.start import (
+    begins_at_home,
+    path_home,
+    start_function,
+    unknown_columns,
+)
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.structure import Structure
 
 ITERATIONS = 2  # third order, from the solution of model 24; more follow only if necessary
@@ -28,9 +34,11 @@ class NewtonFunctions:
     `tables`: v -> k, evaluated once per model. `solve` and `refine`: (configuration, a, k with the
     lower and upper joint limits) -> configuration, last step (m), norm of phi (m), smallest pivot,
     smallest distance of a joint from its limits, negative outside. The pivot is negative on the
-    other side of a singularity than home. `solve` begins at the mechanism's own start, `refine` at
-    the given configuration. `columns`: the unknown columns of (q, r, w, u). `home_sign`: sign of
-    the determinant of the closure's Jacobian in the unknowns at home; 0 if home selects no side.
+    other side of a singularity than home, and where the iterations went too far from where they
+    began to stay on its branch. `solve` begins at the mechanism's own start, `refine` at the given
+    configuration. `columns`: the unknown columns of (q, r, w, u). `home_sign`: sign of the
+    determinant of the closure's Jacobian in the unknowns at home; 0 if home selects no side.
+    `motor_sign`: that of the direct problem, if `inverse` keeps to this side, too; else 0.
     `iteration`: the parts of `solve` and `refine`.
     """
 
@@ -39,6 +47,7 @@ class NewtonFunctions:
     refine: ca.Function
     columns: list[int]
     home_sign: float
+    motor_sign: float
     iteration: Iteration
 
 
@@ -52,32 +61,34 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     s = structure
     columns, given, start = split(s, problem)
     J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
-    order, home_sign = row_order(s, J), find_home_sign(s, J)
-    (phi, J, rest), constants, symbols = _extract_constant_parts(
-        [s.phi, J, s.residual], ca.vertcat(given, s.v, s.a)
+    order, home_sign = row_order(s, J), find_home_sign(s, J, path_home(s.ideal, problem))
+    motor_sign, motor_side = _side_of_motors(s, problem)
+    (phi, J, rest, motor_side), constants, symbols = _extract_constant_parts(
+        [s.phi, J, s.residual, motor_side], ca.vertcat(given, s.v, s.a)
     )
     before = ca.vertcat(constants, start)
     (before,), tables, table_symbols = _extract_constant_parts([before], s.v)
-    closure, residual = (dense("rows", [s.configuration, symbols], [part]) for part in (phi, rest))
+    closure, residual, motors = (
+        dense("rows", [s.configuration, symbols], [part]) for part in (phi, rest, motor_side)
+    )
     # The determinant of the ordered rows is that of J times the sign of the permutation.
     side = home_sign * np.linalg.det(np.eye(len(order))[order])
     step = _step_function(s, closure, J, symbols, columns, order, float(side.round()))
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
-    turns = [2 * np.pi * (unit == "rad") for unit in s.mechanism.passive_units]
     iterate = Iteration(
         prepare,
         step,
         residual,
+        motors,
         constants.shape[0],
-        len(s.mechanism.joints),
         ITERATIONS,
-        turns,
-        s.mechanism.home.passive,
+        s.mechanism,
+        begins_at_home(s.ideal, problem),
     )
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
-    return NewtonFunctions(tables_function, solve, refine, columns, home_sign, iterate)
+    return NewtonFunctions(tables_function, solve, refine, columns, home_sign, motor_sign, iterate)
 
 
 def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
@@ -90,6 +101,25 @@ def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
     if not any(i >= 3 for i in m.parasitic):
         given.append(s.R9)
     return columns, ca.vertcat(*given), start
+
+
+def _side_of_motors(s: Structure, problem: str) -> tuple[float, Any]:
+    """Return the sign of the direct problem's determinant at home, and an expression that is
+    positive on this side; 0 and 1 where the problem does not keep to it.
+
+    The motors do not pass a direct singularity. `inverse` that is followed from home does not,
+    either; a closed form answers for each pose that it is given.
+    """
+    if problem == "direct" or not begins_at_home(s.ideal, problem):
+        return 0.0, ca.SX(1)
+    columns = unknown_columns(s, "direct")
+    J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
+    sign = find_home_sign(s, J, np.array(s.mechanism.home.configuration))
+    if not sign:
+        return 0.0, ca.SX(1)
+    order = row_order(s, J)
+    permutation = np.linalg.det(np.eye(len(order))[order]).round()
+    return sign, sign * permutation * Elimination(J, order).determinant
 
 
 def _extract_constant_parts(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:
@@ -172,11 +202,20 @@ def change_function(s: Structure, columns: list[int]) -> ca.Function:
     return dense("change", [s.configuration, change], [changed])
 
 
-def find_home_sign(s: Structure, J: Any) -> float:
+@lru_cache(maxsize=64)
+def short_step(m: Mechanism) -> np.ndarray:
+    """Return how far the entries (nq + 12 + nu,) of a configuration may change, at most, in a step
+    that stays on its branch, unless a determinant changes its sign. A jump to another branch is
+    finite, however short the step; these bounds are well below it."""
+    joints, passive = np.full(len(m.joints), 0.5), np.full(len(m.passive), 0.5)
+    return np.concatenate([joints, np.full(3, m.length), np.full(9, 0.25), passive])
+
+
+def find_home_sign(s: Structure, J: Any, home: np.ndarray) -> float:
     """Sign of the determinant of the nominal robot's Jacobian at home; 0 at a singular home, and
     if there are more rows than unknowns or fewer: then two branches may have equal signs."""
     jacobian = ca.Function("J", [s.configuration, s.v, s.a], [J])
-    A = np.array(jacobian(s.mechanism.home.configuration, s.table.nominal, s.neutral))
+    A = np.array(jacobian(home, s.table.nominal, s.neutral))
     if A.shape[0] != A.shape[1] or not np.isfinite(A).all():
         return 0.0
     regular = np.linalg.svd(A, compute_uv=False)[-1] > MIN_REGULAR_SINGULAR_VALUE
@@ -253,37 +292,44 @@ class Iteration:
     `prepare`: (configuration, a, k) -> constants, start.
     `step`: (configuration, constants) -> configuration, last step (m), smallest pivot.
     `residual`: (configuration, constants) -> the rows whose norm is the residual.
-    `turns`: a whole turn of each passive angle, 0 of a passive length. `home`: their values there.
+    `motors`: (configuration, constants) -> negative beyond a direct singularity.
+    `at_home`: the start is home, or its expansion.
     """
 
     prepare: ca.Function
     step: ca.Function
     residual: ca.Function
+    motors: ca.Function
     n_constants: int
-    n_joints: int
     iterations: int
-    turns: list[float]
-    home: Sequence[float]
+    mechanism: Mechanism
+    at_home: bool
 
     def function(self, name: str, from_start: bool) -> ca.Function:
         """Build a fixed number of iterations; a short step is inlined, a long one is called."""
         symbol = ca.SX if self.step.n_instructions() < INLINE_BELOW else ca.MX
         sizes = [self.prepare.numel_in(i) for i in range(3)]
-        n = self.n_joints
+        n, m = len(self.mechanism.joints), self.mechanism
         given, a = (symbol.sym(f"i{i}", size) for i, size in enumerate(sizes[:2]))
         k_and_limits = symbol.sym("i2", sizes[2] + 2 * n)
         k, low, high = ca.vertsplit(k_and_limits, [0, sizes[2], sizes[2] + n, sizes[2] + 2 * n])
         prepared = self.prepare(given, a, k)
         constants = prepared[: self.n_constants]
         x = prepared[self.n_constants :] if from_start else given
-        begin = ca.DM(self.home) if from_start else x[n + 12 :]
+        start, begin = x, ca.DM(m.home.passive) if from_start else x[n + 12 :]
         for _ in range(self.iterations):
             x, length, pivot = self.step(x, constants)
+        signs = ca.sign(self.motors(x, constants))
+        if self.at_home or not from_start:  # a closed form has the branch of home anywhere
+            far = ca.mmax(ca.fabs(x - start) - ca.DM(short_step(m))) > 0
+            signs = ca.fmin(signs, ca.if_else(far, -1, 1))
+        pivot = ca.fmin(pivot, signs * ca.fabs(pivot))
         # A long step may turn a passive joint several times: its angle is moved by whole turns to
         # within half a turn of home, or of the configuration to refine.
         u = x[n + 12 :]
-        for k, turn in enumerate(self.turns):
-            if turn:
+        for k, unit in enumerate(m.passive_units):
+            if unit == "rad":
+                turn = 2 * np.pi
                 u[k] -= turn * ca.floor((u[k] - begin[k]) / turn + 0.5)
         x = ca.vertcat(x[: n + 12], u)
         residual = ca.norm_2(self.residual(x, constants))

@@ -120,7 +120,7 @@ def fast_solver(problem: Problem) -> FastSolver:
                 conditions[...] = neutral
             evaluate()
             step, residual, pivot, inside = read(memory)
-            if step < MAX_SETTLED_STEP_M:
+            if step < MAX_SETTLED_STEP_M or not pivot > 0.0:
                 end = output.copy()  # a copy, because the buffers are shared
             else:
                 if more is None:

@@ -16,9 +16,13 @@ from parallel_cal.kinematics.solutions import (
     Status,
 )
 from parallel_cal.kinematics.split_turns import splits_turns
-from parallel_cal.kinematics.start import begins_at_home, start_function
+from parallel_cal.kinematics.start import begins_at_home, path_home, start_function
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
+
+MAX_DESCENT_STEPS = 100
+# A descent ends at a least closure that is not zero if so many steps leave more than this share.
+SLOW_STEPS, MAX_SLOW_SHARE = 10, 0.9
 
 
 class _Calls:
@@ -28,7 +32,8 @@ class _Calls:
         functions = newton_functions(structure, name)
         self._refine, self._compile = functions.refine, compile
         self.columns, self.tables = functions.columns, Single(functions.tables)
-        self.home_sign, self._structure = functions.home_sign, structure
+        self.home_sign, self.motor_sign = functions.home_sign, functions.motor_sign
+        self._structure = structure
         self.many = Batch(functions.solve, 0 if compile else None)
 
     @cached_property
@@ -96,26 +101,34 @@ class Problem:
         begin = start_function(ideal, self.name)(given, self.model.values[: len(ideal.table)])
         return np.array(begin).ravel()
 
-    def begins_on_home_side(self, given: np.ndarray, row: np.ndarray) -> bool:
-        """Whether the branch of home is on home's side of the singularities where `solve_many`
-        begins. It is where that is home, or its expansion, which may pass a singularity; a closed
-        form has this branch on either side."""
-        if begins_at_home(self.model.structure.ideal, self.name):
-            return True
-        return self.is_on_home_side(self.start(given), row)
-
-    def settle(self, begin: np.ndarray, row: np.ndarray) -> np.ndarray | None:
-        """Iterate from one configuration; None if the iterations do not settle on home's side of
-        the singularities."""
-        x, step, residual, pivot, _ = self._refine_one(begin, row, self.k_and_limits)
-        if not step[0] < MAX_SETTLED_STEP_M:
-            x, step, residual, pivot, _ = self._refine_one(x, row, self.k_and_limits)
-        settled = step[0] < MAX_SETTLED_STEP_M and residual[0] < self.largest and pivot[0] > 0.0
-        return x if settled else None
+    @cached_property
+    def home(self) -> np.ndarray:
+        """The configuration (nq + 12 + nu,) at which paths begin."""
+        return path_home(self.model.structure.ideal, self.name)
 
     @cached_property
-    def _refine_one(self) -> Single:
-        return Single(self.calls.refine.function)
+    def begins_at_home(self) -> bool:
+        """Whether `solve_many` begins at home, or at its expansion; a closed form has the branch of
+        home also beyond a singularity."""
+        return begins_at_home(self.model.structure.ideal, self.name)
+
+    @cached_property
+    def has_branches(self) -> bool:
+        """Whether home selects one of several branches. A singular home does not, nor does one
+        whose solution is any of many, as with fewer rows than unknowns."""
+        enough = self.model.structure.phi.shape[0] >= len(self.columns)
+        return bool(self.calls.home_sign) or (self.begins_at_home and enough)
+
+    def settle(self, begin: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Iterate from configurations (N, nq + 12 + nu); return the ends, and which of them settled
+        near their begin on home's side of the singularities."""
+        x, *measures = self.refine(begin, rows)
+        step, residual, pivot = (part.reshape(-1) for part in measures)
+        open_ = np.flatnonzero((pivot > 0.0) & ~(step < MAX_SETTLED_STEP_M))
+        if len(open_):
+            x[open_], *further = self.refine(x[open_], rows[open_])
+            step[open_], residual[open_], pivot[open_] = (part.reshape(-1) for part in further)
+        return x, (step < MAX_SETTLED_STEP_M) & (residual < self.largest) & (pivot > 0.0)
 
     @cached_property
     def single_solver(self) -> Single:
@@ -147,17 +160,21 @@ class Problem:
     def _evaluate(self) -> Single:
         return Single(self.model.structure.closure_configuration)
 
-    def _phi_and_jacobian(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _phi_and_jacobian(
+        self, x: np.ndarray, a: np.ndarray, columns: list[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
         phi, J = self._evaluate(x, a, self.model.values)
-        J = J.reshape(-1, len(phi)).T[:, self.columns]
-        return phi, J / self.model.structure.scale[self.columns]
+        J = J.reshape(-1, len(phi)).T[:, columns]
+        return phi, J / self.model.structure.scale[columns]
 
     def smallest_singular_value(self, x: np.ndarray, a: np.ndarray) -> float:
         """Smallest singular value of the closure's Jacobian in the unknowns, scaled to metres.
 
         Zero means singular.
         """
-        return float(np.linalg.svd(self._phi_and_jacobian(x, a)[1], compute_uv=False)[-1])
+        return float(
+            np.linalg.svd(self._phi_and_jacobian(x, a, self.columns)[1], compute_uv=False)[-1]
+        )
 
     def residual(self, x: np.ndarray, a: np.ndarray) -> float:
         """Norm of the closure, and of how far a configuration is out of reach, m."""
@@ -165,30 +182,25 @@ class Problem:
         return float(np.linalg.norm(rows))
 
     def is_on_home_side(self, x: np.ndarray, a: np.ndarray) -> bool:
-        """Whether the determinant of that Jacobian has the sign that it has at home."""
-        sign = self.calls.home_sign
-        if not sign:
-            return True
-        J = self._phi_and_jacobian(x, a)[1]
-        return bool(np.isfinite(J).all() and sign * np.linalg.det(J) > 0.0)
+        """Whether the determinant of that Jacobian has the sign that it has at home, and that of
+        the direct problem, where `inverse` keeps to its side."""
+        unknown = self.columns, self.calls.home_sign
+        motors = self.model.mechanism.dependent_columns, self.calls.motor_sign
+        return all(
+            sign * np.linalg.det(self._phi_and_jacobian(x, a, columns)[1]) > 0.0
+            for columns, sign in (unknown, motors)
+            if sign
+        )
 
-    def solve_carefully(
-        self, x: np.ndarray, a: np.ndarray, given: np.ndarray
-    ) -> tuple[np.ndarray, float, Status]:
-        """Descend by Levenberg-Marquardt from the fast solver's end `x`, then from home (C.4)."""
-        ends = []
-        for start in (x, given):
-            if not np.isfinite(start).all():
-                continue
-            ends.append(self._descend(start, a))
-            if ends[-1][2] == Status.CONVERGED:
-                return ends[-1]
-        return min(ends, key=lambda end: end[1])
-
-    def _descend(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float, Status]:
-        phi, J = self._phi_and_jacobian(x, a)
+    def descend(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float, Status]:
+        """Descend from a configuration by Levenberg-Marquardt (C.4)."""
+        phi, J = self._phi_and_jacobian(x, a, self.columns)
         damping, size, identity = 1e-3, float(np.linalg.norm(phi)), np.eye(J.shape[1])
-        for _ in range(100):
+        sizes = [np.inf] * SLOW_STEPS
+        for _ in range(MAX_DESCENT_STEPS):
+            sizes.append(size)
+            if size > MAX_SLOW_SHARE * sizes[-1 - SLOW_STEPS] and not self.redundant:
+                break
             gradient, normal = J.T @ phi, J.T @ J
             try:
                 step = -np.linalg.solve(normal + damping * identity, gradient)
@@ -197,7 +209,7 @@ class Problem:
             if np.linalg.norm(step) < 1e-15:
                 break
             (candidate,) = self.calls.change(x, step)
-            new_phi, new_J = self._phi_and_jacobian(candidate, a)
+            new_phi, new_J = self._phi_and_jacobian(candidate, a, self.columns)
             new_size = float(np.linalg.norm(new_phi))
             if new_size < size:
                 improved = size - new_size > 1e-14

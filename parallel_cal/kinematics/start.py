@@ -14,6 +14,9 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.structure import Structure
 
 MAX_HOME_RESIDUAL = 1e-6  # m, rad: beyond that, home of the drawing closes nothing
+DEAD_POINT_STEP = 0.1  # rad, or a share of the length: of a motor that leaves a dead point
+DRIVE_STEPS = 10
+MIN_SIDE = 1e-8  # smallest scaled singular value at which home is on one side of a dead point
 STEP = 1e-4  # m, rad: of the differences that give second derivatives
 
 
@@ -34,12 +37,16 @@ def start_function(s: Structure, problem: str) -> ca.Function:
     iterations, and farther away they still begin on the branch of home.
     """
     m, q, r, R9, u = s.mechanism, s.q, s.r, s.R9, ca.DM(s.mechanism.home.passive)
+    moved = path_home(s, problem)
     if problem == "direct":
         r, R9 = s.start_pose(s.q, s.geometry.column)
     else:
         q = s.start_joints(s.r, s.R9, s.geometry.column)
     start = ca.vertcat(q, r, R9, u)
-    if begins_at_home(s, problem):
+    if (moved != np.array(m.home.configuration)).any():
+        n = len(m.joints)
+        start = ca.vertcat(ca.DM(moved[:n]), r, R9, ca.DM(moved[n + 12 :]))
+    elif begins_at_home(s, problem):
         n = len(m.joints)
         given = [*range(n)] if problem == "direct" else [n + i for i in m.controlled]
         columns = unknown_columns(s, problem)
@@ -85,6 +92,59 @@ def begins_at_home(s: Structure, problem: str) -> bool:
     else:
         found = s.start_joints(s.r, s.R9, s.geometry.column)
     return not ca.symvar(ca.SX(found))
+
+
+@lru_cache(maxsize=64)
+def path_home(s: Structure, problem: str) -> np.ndarray:
+    """Return the configuration (nq + 12 + nu,) at which paths of an ideal mechanism begin: home.
+
+    If home is at a dead point, two readings have the same pose near it, and `inverse` would follow
+    either. Its paths begin where a motor has moved from there: to home's side of the dead point,
+    or, if home is on neither side, to that where this motor has more room.
+    """
+    m, home = s.mechanism, np.array(s.mechanism.home.configuration)
+    if problem == "direct" or not begins_at_home(s, problem):
+        return home
+    size, side = _regularity(s, home)
+    if size > MIN_REGULAR_SINGULAR_VALUE:
+        return home
+    best, chosen = (False, False, 0.0), home
+    for k, (low, high) in enumerate(m.joint_limits):
+        for step in (1.0, -1.0):
+            x = _drive(s, home, k, step * DEAD_POINT_STEP * m.length / s.scale[k])
+            size, reached = _regularity(s, x)
+            room = high - home[k] if step > 0 else home[k] - low
+            rank = size > MIN_REGULAR_SINGULAR_VALUE, reached * side >= 0.0, room
+            if rank > best:
+                best, chosen = rank, x
+    return chosen
+
+
+def _regularity(s: Structure, x: np.ndarray) -> tuple[float, float]:
+    """Return the smallest singular value of the inverse problem, and the side on which x is; 0 if
+    there are no sides, or if x is on none."""
+    columns = unknown_columns(s, "inverse")
+    J = np.array(s.closure_configuration(x, s.neutral, s.table.nominal)[1])
+    J = J[:, columns] / s.scale[columns]
+    if not np.isfinite(J).all():
+        return 0.0, 0.0
+    size = float(np.linalg.svd(J, compute_uv=False)[-1])
+    square = J.shape[0] == J.shape[1] and size > MIN_SIDE
+    return size, float(np.sign(np.linalg.det(J))) if square else 0.0
+
+
+def _drive(s: Structure, x: np.ndarray, joint: int, way: float) -> np.ndarray:
+    """Move one joint, and close the loops after each of some small steps."""
+    columns, passive = unknown_columns(s, "direct"), len(s.mechanism.passive)
+    for i in range(3 * DRIVE_STEPS):
+        phi, J = s.closure_configuration(x, s.neutral, s.table.nominal)
+        change = np.zeros(len(s.scale))
+        if i % 3 == 0:
+            change[joint] = way / DRIVE_STEPS
+            phi = np.array(phi).ravel() + np.array(J)[:, joint] * change[joint]
+        change[columns] = -np.linalg.lstsq(np.array(J)[:, columns], np.array(phi).ravel())[0]
+        x = Configuration.from_rows(x, passive).apply_change(change).rows
+    return x
 
 
 def _expand_at_home(

@@ -22,6 +22,7 @@ AMPLITUDES = (0.05, 0.3, 0.8)  # rad, or shares of the length, by which the join
 TRIES = 30  # random starts from which the loops are closed
 CLEARLY_BETTER = 1.2  # times: of less, no further step is made, and no usual choice is changed
 PATHS, PATH_STEPS = 16, 6  # over the range of the joints, each from home
+MIN_MOVED_SHARE = 1e-4  # of a motion, by the controlled coordinates; less is a dead point
 MIN_MOTION = 1e-3  # of the largest one: of less, the platform does not move in a way
 MIN_SAME_MODE = 0.3  # cosine between neighbouring motions; less is a jump to another mode
 # Of the best share. `length` is 0.3 times the farthest joint, so turns have a share of 0.28 even at
@@ -274,6 +275,11 @@ class Motion:
             basis, sizes, _ = np.linalg.svd(T[self.n_joints : self.n_joints + 6])
             found.append(basis[:, : int(np.sum(sizes > MIN_MOTION * sizes.max(initial=1e-300)))])
         return found
+
+    def is_dead_point(self, controlled: Sequence[int]) -> bool:
+        """Whether joints move at the first configuration while the controlled coordinates rest."""
+        motion = self.tangents[0][[self.n_joints + i for i in controlled]]
+        return bool(np.linalg.svd(motion, compute_uv=False).min(initial=1.0) < MIN_MOVED_SHARE)
 
     @property
     def independent(self) -> int:

@@ -548,10 +548,12 @@ class Chain(Mechanism):
         self.fixed = tuple(
             name for name, held in zip(self.parameters.names, replaced, strict=True) if held
         )
-        self.remarks = tuple(self._remarks(motion.freedoms, kept.shape[-2], replaced, unseen))
+        at_home = Motion.of(survey, home[None], self.moved)
+        dead = at_home.is_dead_point(self.controlled)
+        self.remarks = tuple(self._remarks(motion.freedoms, kept.shape[-2], replaced, unseen, dead))
 
     def _remarks(
-        self, freedoms: int, kept: int, replaced: np.ndarray, unseen: np.ndarray
+        self, freedoms: int, kept: int, replaced: np.ndarray, unseen: np.ndarray, dead: bool
     ) -> list[str]:
         """Say what is held, and why; and whether joints are driven that cannot move alone."""
         names, found = np.array(self.parameters.names), list[str]()
@@ -561,6 +563,12 @@ class Chain(Mechanism):
                 f"{len(self.joints)} joints are driven, but the chain has {freedoms} freedoms: not "
                 "all readings are possible, and those that are not are fitted by least squares. If "
                 "the robot moves more freely, a joint or a loop of the description is too stiff"
+            )
+        if dead:
+            found.append(
+                "home is at a dead point: two sets of readings have the same pose near it. inverse "
+                "answers with those on one side of it: home's, or, if home is on neither side, "
+                "that where the joint has more room. State a home on the side that you want"
             )
         if self._by_least_squares:
             found.append(

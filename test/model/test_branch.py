@@ -74,15 +74,16 @@ def test_iterations_that_end_on_the_other_side_of_a_singularity_do_not_settle():
     pose above them solves the closure just as well."""
     model = new_model("linear_delta")  # offset 100 mm, rods 250 mm
     height = np.sqrt(0.25**2 - 0.1**2)
-    problem, conditions = Problem(model, "direct", compile=False), np.array([])
+    problem = Problem(model, "direct", compile=False)
     below, above = (
         np.array([0.08, 0.08, 0.08, 0.0, 0.0, z, *np.eye(3).ravel()])
         for z in (0.08 - height, 0.08 + height)
     )
-    np.testing.assert_allclose(problem.settle(below, conditions), below, atol=1e-12)
+    ends, settled = problem.settle(np.array([below, above]), np.zeros((2, 0)))
+    np.testing.assert_allclose(ends[0], below, atol=1e-12)
     closure = model.structure.closure
-    np.testing.assert_allclose(closure(above, conditions, model.values)[0], 0, atol=1e-12)
-    assert problem.settle(above, conditions) is None
+    np.testing.assert_allclose(closure(above, [], model.values)[0], 0, atol=1e-12)
+    assert settled.tolist() == [True, False]
 
 
 def test_a_linear_deltas_platform_stays_below_its_carriages():

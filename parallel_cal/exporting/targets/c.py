@@ -19,9 +19,20 @@ from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.exporting.targets._vectors import vectors
-from parallel_cal.kinematics.branch import MAX_PATH_STEPS, MIN_STEP_FRACTION, PATH_GROWTH
+from parallel_cal.kinematics.branch import (
+    MAX_PATH_STEPS,
+    MIN_STEP_FRACTION,
+    PATH_GROWTH,
+    SAME_SOLUTION,
+)
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.newton import NewtonFunctions, newton_functions
+from parallel_cal.kinematics.problem import (
+    MAX_DESCENT_STEPS,
+    MAX_SLOW_SHARE,
+    SLOW_STEPS,
+    Problem,
+)
 from parallel_cal.kinematics.rows import LIMIT_ROUNDING
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
@@ -30,7 +41,6 @@ from parallel_cal.kinematics.solutions import (
     SUSPECT_PIVOT,
 )
 from parallel_cal.kinematics.split_turns import splits_turns
-from parallel_cal.kinematics.start import begins_at_home
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.mechanism import Mechanism, poses_in_workspace
@@ -38,7 +48,6 @@ from parallel_cal.model.model import Model
 
 PROBLEMS = ("direct", "inverse")
 DIRECTION_THRESHOLD = 5e-4  # rad or m, as the parameter of the kinematics node
-MAX_DESCENTS = 100  # steps of one Levenberg-Marquardt descent
 PATH_AMPLITUDE = 0.005  # of the example's path, as a share of the mechanism's length
 MAX_POSES = 300_000  # test vectors; each takes a few kB of memory and 1 kB of the file
 SEARCH = {  # words of the templates: limits of the solver and of its search
@@ -48,8 +57,11 @@ SEARCH = {  # words of the templates: limits of the solver and of its search
     "singular": MIN_REGULAR_SINGULAR_VALUE,
     "suspect": SUSPECT_PIVOT,
     "threshold": DIRECTION_THRESHOLD,
-    "all_steps": 8 * MAX_DESCENTS + 2 * MAX_PATH_STEPS,
-    "descents": MAX_DESCENTS,
+    "all_steps": 10 * MAX_DESCENT_STEPS + 4 * MAX_PATH_STEPS,
+    "descents": MAX_DESCENT_STEPS,
+    "slow_steps": SLOW_STEPS,
+    "slow_share": MAX_SLOW_SHARE,
+    "same_solution": SAME_SOLUTION,
     "path_steps": MAX_PATH_STEPS,
     "path_growth": PATH_GROWTH,
     "least_step": MIN_STEP_FRACTION,
@@ -127,7 +139,6 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
     s, m, n = model.structure, model.mechanism, len(model.joints)
     newton = [newton_functions(s, problem) for problem in PROBLEMS]
     unknown = [functions.columns for functions in newton]
-    given = [list(range(n)), [n + i for i in m.controlled]]
     limits = np.array(m.joint_limits, dtype=float).reshape(-1, 2).T
     rates = np.array(m.joint_rates or ((np.inf, np.inf),) * n, dtype=float).T
     home = np.asarray(m.home.configuration)
@@ -165,24 +176,37 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "home_position": _list(home[n : n + 3]),
         "home_rotation": _list(home[n + 3 : n + 12]),
         "n_passive": len(m.passive),
+        "passive_turn": _list([*(2 * np.pi * (unit == "rad") for unit in m.passive_units), 0.0]),
+        "motor_sign": int(newton[1].motor_sign),
         "length": m.length,
         "amplitude": PATH_AMPLITUDE * m.length,
         "generated": _generate_functions(model, newton),
         "given": _lines(_generate_copy("given", "", m.controlled)),
         "passive": _lines(_generate_start(m), 8),
     }
-    for problem, functions, u, g in zip(PROBLEMS, newton, unknown, given, strict=True):
-        words |= {
-            f"unknown_{problem}": _list(u),
-            f"n_{problem}": len(u),
-            f"given_{problem}": _list(g),
-            f"g_{problem}": len(g),
-            f"turns_{problem}": int({n + 3, n + 4, n + 5} <= {*u}),
-            f"constants_{problem}": functions.iteration.n_constants,
-            f"home_sign_{problem}": int(functions.home_sign),
-            f"at_home_{problem}": int(begins_at_home(model.structure.ideal, problem)),
-        }
+    for problem in PROBLEMS:
+        words |= _problem_words(model, problem)
     return {key: str(value) for key, value in words.items()}
+
+
+def _problem_words(model: Model, problem: str) -> dict[str, Any]:
+    """Return the replacements of the words that end in `_direct` or `_inverse`."""
+    n, split = len(model.joints), Problem(model, problem, compile=False)
+    functions = newton_functions(model.structure, problem)
+    given = {"direct": [*range(n)], "inverse": [n + i for i in model.mechanism.controlled]}
+    u, g = functions.columns, given[problem]
+    return {
+        f"unknown_{problem}": _list(u),
+        f"n_{problem}": len(u),
+        f"given_{problem}": _list(g),
+        f"g_{problem}": len(g),
+        f"turns_{problem}": int(problem == "direct" or {n + 3, n + 4, n + 5} <= {*u}),
+        f"constants_{problem}": functions.iteration.n_constants,
+        f"home_sign_{problem}": int(functions.home_sign),
+        f"at_home_{problem}": int(split.begins_at_home),
+        f"path_home_{problem}": _list(split.home),
+        f"branches_{problem}": int(split.has_branches),
+    }
 
 
 def _describe_joints(m: Mechanism) -> list[str]:

@@ -181,7 +181,7 @@ def _is_same_branch(
     if any(before != after for before, after in signs):
         return False
     ends = here.configuration.rows, there.configuration.rows
-    return is_short_step(model, *ends)
+    return bool(is_short_step(model, *ends))
 
 
 def _fill_lost_points(

@@ -32,10 +32,13 @@
 #define SUSPECT @suspect@   /* a pivot below this asks for that value */
 #define ITERATIONS 2 /* of third order; twice, where the first do not arrive */
 #define DESCENTS @descents@
+#define SLOW_STEPS @slow_steps@ /* a descent ends if so many leave more than this share */
+#define SLOW_SHARE @slow_share@
 #define PATH_STEPS @path_steps@
+#define SAME_SOLUTION @same_solution@ /* m, rad */
 #define LEAST_STEP @least_step@ /* of a path; below it the branch has ended */
 
-#define ALL_STEPS @all_steps@ /* two descents, twice, from two starts; two paths from home */
+#define ALL_STEPS @all_steps@ /* descents from a start and home, then from three starts, all twice; four paths */
 
 enum { DIRECT, INVERSE };
 
@@ -48,6 +51,7 @@ const double @robot@_joint_velocity[NQ] = {@velocity@};
 const double @robot@_joint_acceleration[NQ] = {@acceleration@};
 
 static const double HOME[NX] = {@home@};
+static const double PATH_HOME[2][NX] = {{@path_home_direct@}, {@path_home_inverse@}}; /* home, but next to a dead point of it */
 static const double SCALE[NC] = {@scale@};     /* m that a unit moves things */
 static const double TURN[NQ] = {@turn@};       /* by how much a joint may be off */
 static const int UNKNOWN[2][MOST] = {{@unknown_direct@}, {@unknown_inverse@}};
@@ -56,8 +60,11 @@ static const int GIVEN[2][MOST] = {{@given_direct@}, {@given_inverse@}};
 static const int GIVENS[2] = {@g_direct@, @g_inverse@};
 static const int TURNS[2] = {@turns_direct@, @turns_inverse@}; /* all of the rotation is unknown */
 static const int HOME_SIGN[2] = {@home_sign_direct@, @home_sign_inverse@}; /* 0: selects no side */
+static const int MOTOR_SIGN = @motor_sign@; /* of the direct problem, where the inverse one keeps to it */
+static const int BRANCHES[2] = {@branches_direct@, @branches_inverse@}; /* home selects one of several */
 static const int AT_HOME[2] = {@at_home_direct@, @at_home_inverse@}; /* iterations begin there, or at its expansion */
 static const double LENGTH = @length@;         /* m */
+static const double PASSIVE_TURN[NU + 1] = {@passive_turn@};
 static const int TABLE[2] = {@constants_direct@, @constants_inverse@};
 
 /* ------------------------------------------------ the model, generated from its expression */
@@ -250,13 +257,24 @@ static void change_between(const double *x, const double *to, double *change)
         change[NQ + 3 + i] = size > 0 ? angle / sqrt(size) * quaternion[i + 1] : 0;
 }
 
-/* Whether the determinant of the slopes has the sign that it has at home. */
-static int on_home_side(int problem, const double *x, const double *a)
+/* Whether the determinant of the slopes has this sign. */
+static int has_sign(int problem, int expected, const double *x, const double *a)
 {
     double phi[ROWS], J[ROWS * MOST];
-    if (HOME_SIGN[problem] == 0) return 1;
+    if (expected == 0) return 1;
     closure_and_slopes(problem, x, a, phi, J);
-    return HOME_SIGN[problem] * solved(UNKNOWNS[problem], J, 0, J) > 0;
+    return expected * solved(UNKNOWNS[problem], J, 0, J) > 0;
+}
+
+/* Whether x is on home's side of the direct singularities, where the problem keeps to it. */
+static int motors_on_home_side(int problem, const double *x, const double *a)
+{
+    return problem == DIRECT || has_sign(DIRECT, MOTOR_SIGN, x, a);
+}
+
+static int on_home_side(int problem, const double *x, const double *a)
+{
+    return has_sign(problem, HOME_SIGN[problem], x, a) && motors_on_home_side(problem, x, a);
 }
 
 /* Whether two configurations are too near for a jump to another branch. */
@@ -323,6 +341,11 @@ static double norm_of_closure(int problem, const double *x, const double *consta
     return sqrt(squares);
 }
 
+static int is_closed(int problem, double residual)
+{
+    return redundant(problem) ? isfinite(residual) : residual < CLOSED;
+}
+
 static void prepare(int problem, const double *given, const double *a, double *before)
 {
     if (problem == DIRECT)
@@ -331,53 +354,57 @@ static void prepare(int problem, const double *given, const double *a, double *b
         inverse_prepare(given, a, before);
 }
 
-/* The solution, in place of x, for what x holds as given; whether Newton's method finds it, on
+/* The solution, in place of x, for what x holds as given; whether Newton's method finds it near x, on
  * home's side of the problem's singularities. */
 static int settled_on_home_side(int problem, const double *a, double *x)
 {
-    double before[CONSTANTS + NX], pivot = 0;
+    double before[CONSTANTS + NX], begin[NX], pivot = 0;
+    memcpy(begin, x, sizeof begin);
     prepare(problem, x, a, before);
     return iterated(problem, 2 * ITERATIONS, before, x, &pivot) < SETTLED
-        && norm_of_closure(problem, x, before) < CLOSED && pivot > 0;
+        && is_closed(problem, norm_of_closure(problem, x, before)) && pivot > 0
+        && short_step(begin, x) && motors_on_home_side(problem, x, a);
 }
 
 /* What a problem is given moves in a straight line from home to x, and its solution follows on home's
- * side of the singularities of `judge`: x is replaced by the end. Whether the branch does not end
- * before. */
+ * side of the singularities, also of those of `judge`: x is replaced by the last solution. Whether the
+ * branch does not end before. */
 static int followed(int problem, int judge, const double *a, int *steps, double *x)
 {
-    double change[NC], here[NX], there[NX], part[NC], t = 0, step = 1;
-    memcpy(here, HOME, sizeof here);
-    change_between(HOME, x, change);
-    if (!settled_on_home_side(problem, a, here)) return 0;
+    double change[NC], there[NX], part[NC], t = 0, step = 1;
+    change_between(PATH_HOME[problem], x, change);
+    memcpy(x, PATH_HOME[problem], NX * sizeof *x);
+    if (!settled_on_home_side(problem, a, x)) return 0;
     for (int i = 0; i < PATH_STEPS && t < 1 && step >= LEAST_STEP; ++i) {
         double target = fmin(t + step, 1);
         if (--*steps < 0) return 0;
         for (int k = 0; k < NC; ++k) part[k] = target * change[k];
-        changed(HOME, part, there);
-        unknowns_of(problem, here, there);
-        if (settled_on_home_side(problem, a, there) && short_step(here, there)
-            && on_home_side(judge, there, a)) {
-            memcpy(here, there, sizeof here);
+        changed(PATH_HOME[problem], part, there);
+        unknowns_of(problem, x, there);
+        if (settled_on_home_side(problem, a, there) && short_step(x, there)
+            && (judge == problem || on_home_side(judge, there, a))) {
+            memcpy(x, there, sizeof there);
             t = target, step *= @path_growth@;
         } else {
             step /= 2;
         }
     }
-    if (t < 1) return 0;
-    memcpy(x, here, sizeof here);
-    return 1;
+    return t >= 1;
 }
 
 /* Levenberg-Marquardt from x, in place, with at most DESCENTS and `steps` steps; a status. */
 static int descended(int problem, double *x, const double *a, int *steps, double *residual)
 {
     double phi[ROWS], J[ROWS * MOST], trial_phi[ROWS], trial_J[ROWS * MOST], trial[NX];
-    double gradient[MOST], A[MOST * MOST], step[MOST], damping = 1e-3, slope = 0;
+    double gradient[MOST], A[MOST * MOST], step[MOST], damping = 1e-3, slope = 0, sizes[DESCENTS];
     int n = UNKNOWNS[problem];
     double size = closure_and_slopes(problem, x, a, phi, J);
     for (int round = 0; round < DESCENTS; ++round) {
         double length = 0;
+        sizes[round] = *residual = size;
+        if (round >= SLOW_STEPS && size > SLOW_SHARE * sizes[round - SLOW_STEPS]
+            && !redundant(problem))
+            break;
         for (int i = 0; i < n; ++i) {
             step[i] = 0;
             for (int k = 0; k < ROWS; ++k) step[i] -= J[k * n + i] * phi[k];
@@ -386,7 +413,6 @@ static int descended(int problem, double *x, const double *a, int *steps, double
                 for (int k = 0; k < ROWS; ++k) A[i * n + j] += J[k * n + i] * J[k * n + j];
             }
         }
-        *residual = size;
         if (--*steps < 0) return @ROBOT@_EFFORT_EXCEEDED;
         if (!solved(n, A, 1, step)) return @ROBOT@_NOT_CONVERGED;
         for (int i = 0; i < n; ++i) length += step[i] * step[i];
@@ -416,70 +442,99 @@ static int descended(int problem, double *x, const double *a, int *steps, double
     return flat || size > 1e-6 ? @ROBOT@_UNREACHABLE : @ROBOT@_NOT_CONVERGED;
 }
 
-/* The same from where Newton's method ended and, where that fails, from `given`; the better end. */
-static int carefully(int problem, const double *given, const double *a, int *steps, double *x,
+/* Undoes whole turns of the joints; an effect need not repeat after them. */
+static int turned_back(int problem, double *x, const double *a, int status, int *steps,
     double *residual)
 {
-    double ends[2][NX], sizes[2] = {HUGE_VAL, HUGE_VAL};
-    int status[2] = {@ROBOT@_NOT_CONVERGED, @ROBOT@_NOT_CONVERGED}, best;
-    memcpy(ends[0], x, sizeof ends[0]);
-    memcpy(ends[1], given, sizeof ends[1]);
-    for (int i = 0; i < 2; ++i) {
-        if (!all_finite(NX, ends[i])) continue;
-        status[i] = descended(problem, ends[i], a, steps, &sizes[i]);
-        if (status[i] == @ROBOT@_CONVERGED) break;
-        if (status[i] == @ROBOT@_EFFORT_EXCEEDED) {
-            memcpy(x, ends[i], sizeof ends[i]);
-            *residual = sizes[i];
-            return status[i];
-        }
-    }
-    best = status[0] == @ROBOT@_CONVERGED || (status[1] != @ROBOT@_CONVERGED && !(sizes[1] < sizes[0]))
-        ? 0 : 1;
-    memcpy(x, ends[best], sizeof ends[best]);
-    *residual = sizes[best];
-    return status[best];
-}
-
-/* The solution x for what is given, if a path from home leads to it. */
-static int followed_from_home(int problem, const double *given, const double *a, int *steps,
-    double *x, double *residual)
-{
-    double end[NX], phi[ROWS], J[ROWS * MOST];
-    memcpy(end, given, sizeof end);
-    if (!followed(problem, problem, a, steps, end)) return 0;
-    memcpy(x, end, sizeof end);
-    turned_towards_home(problem, x);
+    double phi[ROWS], J[ROWS * MOST];
+    if (turned_towards_home(problem, x) && EFFECTS != 0)
+        return descended(problem, x, a, steps, residual);
     closure_and_slopes(problem, x, a, phi, J);
     *residual = residual_of(x, a, phi);
+    return status;
+}
+
+/* Whether a path of the other coordinates joins a solution with home. */
+static int joined(int problem, const double *x, const double *a, int *steps)
+{
+    double end[NX];
+    if (!on_home_side(problem, x, a)) return 0;
+    memcpy(end, x, sizeof end);
+    if (!followed(!problem, problem, a, steps, end)) return 0;
+    for (int i = 0; i < NX; ++i) {
+        double off = end[i] - x[i], turn = i < NQ + 12 ? 0 : PASSIVE_TURN[i - NQ - 12];
+        if (turn > 0) off -= turn * rint(off / turn);
+        if (!(fabs(off) < SAME_SOLUTION)) return 0;
+    }
     return 1;
 }
 
-/* The status of a solution x that is not known to be on the branch of home: it is if Newton's method
- * settled on the side on which this branch is where it began. Otherwise a path from home leads to the
- * solution, or a path of the other coordinates joins x with home. */
-static int on_home_branch(int problem, const double *given, const double *begin, const double *a,
-    int settled, int *steps, double *x, double *residual)
+static int singular_at(int problem, const double *x, const double *a)
 {
-    double end[NX];
-    int side = on_home_side(problem, x, a);
-    if (HOME_SIGN[problem] == 0
-        || (settled && side == (AT_HOME[problem] || on_home_side(problem, begin, a))))
-        return @ROBOT@_CONVERGED;
-    if (settled && followed_from_home(problem, given, a, steps, x, residual))
-        return @ROBOT@_CONVERGED;
-    memcpy(end, x, sizeof end);
-    if (side && followed(!problem, problem, a, steps, end) && short_step(end, x))
-        return @ROBOT@_CONVERGED;
-    return *steps < 0 ? @ROBOT@_EFFORT_EXCEEDED : @ROBOT@_OTHER_BRANCH;
+    double phi[ROWS], J[ROWS * MOST];
+    closure_and_slopes(problem, x, a, phi, J);
+    return smallest_singular_value(UNKNOWNS[problem], J) < SMALL;
+}
+
+/* Levenberg-Marquardt from each of `count` starts, whose ends replace them. x is the first end that
+ * is joined with home (of a start, where `warm`: the first solution), else the best one; a status. */
+static int searched(int problem, int warm, int count, double starts[][NX], const double *a,
+    int *steps, double *x, double *residual)
+{
+    int best = @ROBOT@_NOT_CONVERGED, any = warm || !BRANCHES[problem];
+    *residual = HUGE_VAL;
+    for (int i = 0; i < count; ++i) {
+        double size = 0;
+        if (!all_finite(NX, starts[i])) continue;
+        int status = descended(problem, starts[i], a, steps, &size);
+        if (status != @ROBOT@_EFFORT_EXCEEDED)
+            status = turned_back(problem, starts[i], a, status, steps, &size);
+        int closed = status == @ROBOT@_CONVERGED;
+        if (closed && !any && singular_at(problem, starts[i], a)) status = @ROBOT@_SINGULAR;
+        int found = closed && (any || status == @ROBOT@_SINGULAR || joined(problem, starts[i], a, steps));
+        if (found || (best != @ROBOT@_OTHER_BRANCH && (closed || size < *residual))) {
+            memcpy(x, starts[i], sizeof starts[i]);
+            *residual = size;
+            best = closed && !found ? (int)@ROBOT@_OTHER_BRANCH : status;
+        }
+        if (*steps < 0) return @ROBOT@_EFFORT_EXCEEDED;
+        if (found) break;
+    }
+    return best;
+}
+
+/* The solution on the branch of home, if x is not known to be on it, or no solution: a path from home
+ * leads to it, or a search from x, from where this path ends, and from home. */
+static int on_home_branch(int problem, const double *given, const double *a, int *steps, double *x,
+    double *residual)
+{
+    double ends[3][NX];
+    memcpy(ends[0], x, sizeof ends[0]);
+    memcpy(ends[2], given, sizeof ends[0]);
+    memcpy(x, given, sizeof ends[0]);
+    if (followed(problem, problem, a, steps, x))
+        return turned_back(problem, x, a, @ROBOT@_CONVERGED, steps, residual);
+    memcpy(ends[1], given, sizeof ends[0]);
+    unknowns_of(problem, x, ends[1]);
+    return searched(problem, 0, 3, ends, a, steps, x, residual);
+}
+
+/* Whether a solution on which Newton's method settled is on home's branch: near where it began at
+ * home, or on the side on which a closed form began. */
+static int trusted(int problem, int near, double pivot, const double *begin, const double *x,
+    const double *a)
+{
+    if (!BRANCHES[problem]) return 1;
+    if (AT_HOME[problem]) return near && pivot > 0 && motors_on_home_side(problem, x, a);
+    return on_home_side(problem, x, a) == on_home_side(problem, begin, a);
 }
 
 /* x (in: the start, where `warm`) for what is given; a status. */
 static int solve_once(int problem, const double *given, const double *a, int warm, int *steps,
     double *x, double *residual)
 {
-    double before[CONSTANTS + NX], begin[NX], phi[ROWS], J[ROWS * MOST], pivot = 0;
-    int status = @ROBOT@_CONVERGED, inside = 1, reached = 0;
+    double before[CONSTANTS + NX], begin[NX], pivot = 0, starts[2][NX];
+    int status = @ROBOT@_CONVERGED, inside = 1;
     if (!all_finite(NX, given) || !all_finite(CONDITIONS, a)) {
         for (int i = 0; i < NX; ++i) x[i] = NAN;
         *residual = NAN;
@@ -489,27 +544,31 @@ static int solve_once(int problem, const double *given, const double *a, int war
     if (!warm) memcpy(x, before + TABLE[problem], NX * sizeof *x);
     memcpy(begin, x, sizeof begin);
     double length = iterated(problem, ITERATIONS, before, x, &pivot);
-    if ((turned_towards_home(problem, x) && EFFECTS != 0) || (isfinite(length) && length >= SETTLED))
+    int near = short_step(begin, x) && pivot > 0;
+    if ((turned_towards_home(problem, x) && EFFECTS != 0) || (isfinite(length) && length >= SETTLED)) {
+        memcpy(starts[0], x, sizeof starts[0]);
         length = iterated(problem, ITERATIONS, before, x, &pivot);
+        near = near && short_step(starts[0], x);
+    }
     *residual = norm_of_closure(problem, x, before);
-    int closed = redundant(problem) ? isfinite(*residual) : *residual < CLOSED;
-    int settled = length < SETTLED && closed;
-    if (!settled && !warm) reached = followed_from_home(problem, given, a, steps, x, residual);
-    if (!settled && !reached) {
-        status = carefully(problem, given, a, steps, x, residual);
-        if (turned_towards_home(problem, x) && EFFECTS != 0)
-            status = carefully(problem, given, a, steps, x, residual);
+    int settled = length < SETTLED && is_closed(problem, *residual), sure = settled && pivot > SUSPECT;
+    if (warm || AT_HOME[problem])
+        sure = sure && near && motors_on_home_side(problem, x, a);
+    if (settled && !sure && singular_at(problem, x, a)) {
+        status = @ROBOT@_SINGULAR;
+    } else if (!sure && !warm) {
+        if (!settled || !trusted(problem, near, pivot, begin, x, a))
+            status = on_home_branch(problem, given, a, steps, x, residual);
+    } else if (!settled) {
+        memcpy(starts[0], x, sizeof starts[0]);
+        memcpy(starts[1], given, sizeof starts[1]);
+        status = searched(problem, 1, 2, starts, a, steps, x, residual);
+    } else if (!sure && on_home_side(problem, begin, a) != on_home_side(problem, x, a)
+        && !short_step(begin, x)) {
+        status = @ROBOT@_OTHER_BRANCH;
     }
-    if (status == @ROBOT@_CONVERGED && !(settled && pivot > SUSPECT)) {
-        closure_and_slopes(problem, x, a, phi, J);
-        if (smallest_singular_value(UNKNOWNS[problem], J) < SMALL)
-            status = @ROBOT@_SINGULAR;
-        else if (!warm && !reached)
-            status = on_home_branch(problem, given, begin, a, settled, steps, x, residual);
-        else if (warm && on_home_side(problem, begin, a) != on_home_side(problem, x, a)
-            && !short_step(begin, x))
-            status = @ROBOT@_OTHER_BRANCH;
-    }
+    if (status == @ROBOT@_CONVERGED && !settled && singular_at(problem, x, a))
+        status = @ROBOT@_SINGULAR;
     for (int i = 0; i < NQ; ++i) inside &= within_limits(problem, i, x[i]);
     return status == @ROBOT@_CONVERGED && !inside ? (int)@ROBOT@_OUTSIDE_LIMITS : status;
 }

@@ -1,0 +1,213 @@
+"""Solutions of chains far from home are those to which small steps from home lead, in Python and C.
+
+The linkages are written here a second time, from their points alone.
+"""
+
+import ctypes
+import subprocess
+
+import chains
+import numpy as np
+import pytest
+import test_shelf_as_chain as shelf
+from chains import make_chain, revolute, rod
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+import parallel_cal as pc
+from parallel_cal.exporting.export import export
+from parallel_cal.kinematics.kinematics import Status
+
+# ------------------------------------------------------------------ cranks that turn around
+
+CRANK, BACK, SIDES, HEIGHTS = 0.04, 0.05, np.array([0.035, -0.035]), np.array([0.25, 0.2])
+
+
+def foot_balls(angles):
+    """Balls (N, 2, 3) of both rods on a foot that pitches and rolls by angles (N, 2)."""
+    balls = np.column_stack([[-BACK, -BACK], SIDES, [0, 0]])
+    return balls @ Rotation.from_euler("YX", angles).as_matrix().swapaxes(1, 2)
+
+
+def rod_errors(angles, q):
+    """How much longer both rods are than they are (N, 2)."""
+    cranks = np.stack(
+        [-0.01 - CRANK * np.cos(q), SIDES + 0 * q, HEIGHTS + CRANK * np.sin(q)], axis=-1
+    )
+    return np.linalg.norm(foot_balls(angles) - cranks, axis=2) - HEIGHTS
+
+
+def slopes(angles, q, step=1e-6):
+    columns = [
+        (rod_errors(angles + step * unit, q) - rod_errors(angles - step * unit, q)) / (2 * step)
+        for unit in np.eye(2)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def walk_ankle(q, steps=150):
+    """Turn both cranks from home to readings (N, 2) in small steps; return the angles of the foot,
+    and which samples met no singularity on the way."""
+    angles, regular = np.zeros_like(q), np.ones(len(q), dtype=bool)
+    first = np.linalg.det(slopes(angles[:1], 0 * q[:1]))[0]
+    for share in np.linspace(0, 1, steps + 1)[1:]:
+        before = angles
+        for _ in range(4):
+            J = slopes(angles, share * q)
+            regular &= np.linalg.det(J) / first > 0.01
+            J[~regular] = np.eye(2)
+            error = rod_errors(angles, share * q)
+            angles = angles - np.linalg.solve(J, error[..., None])[..., 0] * regular[:, None]
+        regular &= (np.abs(rod_errors(angles, share * q)) < 1e-9).all(axis=1)
+        regular &= (np.abs(angles - before) < 0.3).all(axis=1)
+    return angles, regular
+
+
+AROUND = np.random.default_rng(0).uniform(-np.pi, np.pi, (120, 2))
+
+
+def test_an_ankle_whose_cranks_turn_around_stays_in_the_mode_of_home():
+    """At 7 of 94 readings it was another mode, in which the determinant has the sign of home."""
+    model = make_chain(shelf.ankle_2rsu())
+    angles, regular = walk_ankle(AROUND)
+    assert regular.sum() > 85
+    found = pc.Kinematics(model).direct(AROUND)
+    assert found.ok[regular].all()
+    expected = Rotation.from_euler("YX", angles[regular]).as_matrix()
+    np.testing.assert_allclose(found.rotation[regular], expected, atol=1e-8)
+    alone = [pc.Kinematics(model).direct(q) for q in AROUND[regular][:20]]
+    np.testing.assert_allclose([one.rotation for one in alone], expected[:20], atol=1e-8)
+
+
+# ------------------------------------------------------------------ a knee beyond its toggle
+
+
+def bent(angles):
+    """Poses of the shank of `chains.knee`, bent about y."""
+    turned = Rotation.from_euler("y", np.reshape(angles, (-1, 1)))
+    return turned.apply([0, 0, -0.36]), turned.as_matrix()
+
+
+def toggle(bend):
+    """Zero where the knee and both ends of its actuator are in line."""
+    lower = Rotation.from_euler("y", bend).apply([-0.06, 0, 0.03])
+    return np.cross([-0.06, 0, 0.23], lower)[1]
+
+
+def test_no_readings_are_an_answer_for_a_knee_beyond_its_toggle():
+    """The actuator has the same length there as at a knee that bends the other way, to which it
+    leads from home."""
+    solver = pc.Kinematics(make_chain(chains.knee()))
+    line = brentq(toggle, 0.7, 1.0)
+    beyond = solver.inverse(*bent(line - np.array([0.5, 0.2, 0.05, 0.005])))
+    assert (beyond.status == Status.OTHER_BRANCH).all()
+    before = solver.inverse(*bent(line + np.array([0.005, 0.05, 0.5, 1.0])))
+    assert before.ok.all()
+    again = solver.direct(before.joints)
+    np.testing.assert_allclose(again.position, before.position, atol=1e-9)
+
+
+# ------------------------------------------------------------------ home next to a dead point
+
+
+def four_bar(crank=0.0):
+    """A planar crank of 0.1 m, a coupler of 0.3 m and a rocker of 0.2 m about (0.3, 0), drawn with
+    the crank `crank` rad from where it and the coupler are in line."""
+    line = np.arccos((0.4**2 + 0.3**2 - 0.2**2) / (2 * 0.4 * 0.3))
+    q = line + crank
+    elbow = 0.1 * np.array([np.cos(q), np.sin(q)])
+    reach = np.array([0.3, 0.0]) - elbow
+    distance = np.hypot(*reach)
+    bend = np.arccos((0.3**2 + distance**2 - 0.2**2) / (2 * 0.3 * distance))
+    end = elbow + 0.3 * np.array(
+        [np.cos(np.arctan2(*reach[::-1]) + bend), np.sin(np.arctan2(*reach[::-1]) + bend)]
+    )
+    angle = float(np.arctan2(end[1], end[0] - 0.3))
+    joints = [
+        revolute("crank", "base", "crank", driven=True, home=float(q), limits=[q - 1.0, q + 1.5]),
+        revolute("rocker", "base", "rocker", origin=[0.3, 0, 0], home=angle),
+    ]
+    loops = [rod("coupler", ("crank", [0.1, 0, 0]), ("rocker", [0.2, 0, 0]), length=0.3)]
+    return {
+        "base": "base", "platform": "rocker", "target": [0.1, 0, 0],
+        "joints": joints, "loops": loops, "controls": ["rz"],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("crank", [0.0, 1e-5, -1e-5, 1e-3, -1e-3, 0.2])
+def test_inverse_keeps_to_one_side_of_a_dead_point_at_home(crank):
+    """Two readings have each pose near it. It was now one, now the other, without a word."""
+    model = make_chain(four_bar(crank))
+    home = model.mechanism.home.joints[0]
+    dead, side = home - crank, np.sign(crank) or 1.0  # the crank has more room above
+    readings = dead + side * np.linspace(0.01, 0.9, 40)
+    solver = pc.Kinematics(model)
+    poses = solver.direct(readings[:, None])
+    assert poses.ok.all()
+    found = solver.inverse(poses.position, poses.rotation)
+    assert found.ok.all()
+    np.testing.assert_allclose(found.joints[:, 0], readings, atol=1e-6)
+    said = any("dead point" in remark for remark in model.mechanism.remarks)
+    assert said == (abs(crank) < 1e-4)
+
+
+# ------------------------------------------------------------------ out of reach
+
+
+def test_a_search_ends_soon_where_nothing_is_to_be_found():
+    """It made 100 steps from each start, however little they changed."""
+    model = pc.new_model("stewart42")
+    solver, count = pc.Kinematics(model), 0
+    problem = solver.direct_problem
+    change = problem.calls.change
+
+    class Counted:
+        def __call__(self, *arguments):
+            nonlocal count
+            count += 1
+            return change(*arguments)
+
+    problem.calls.change = Counted()
+    try:
+        far = np.random.default_rng(1).uniform(-0.6, 0.8, (20, 6))
+        assert not solver.direct(far).solved.any()
+    finally:
+        problem.calls.change = change
+    assert 0 < count < 20 * 80
+
+
+# ------------------------------------------------------------------ exported C
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", ["ankle", "knee", "four_bar"])
+def test_exported_c_answers_the_same_far_from_home(name, tmp_path):
+    made = {"ankle": shelf.ankle_2rsu, "knee": chains.knee, "four_bar": lambda: four_bar(0.0)}
+    model = make_chain(made[name]())
+    export(model, "c:poses=20,name=robot", tmp_path)
+    words = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-O0", "-shared", "-fPIC"]
+    subprocess.run([*words, "robot.c", "-o", "robot.so", "-lm"], cwd=tmp_path, check=True)
+    library, solver = ctypes.CDLL(f"{tmp_path}/robot.so"), pc.Kinematics(model)
+    n, m = len(model.joints), len(model.mechanism.passive)
+    low, high = np.clip(np.array(model.mechanism.joint_limits).T, -np.pi, np.pi)
+    readings = AROUND[:60] if name == "ankle" else np.linspace(low, high, 60)
+    poses = solver.direct(readings)
+    if name == "knee":
+        r, R = bent(np.linspace(0.3, 2.1, 60))
+    else:
+        r, R = poses.position[poses.solved], poses.rotation[poses.solved]
+
+    def answers(function, *given):
+        answer, residual = (ctypes.c_double * (n + 12 + m))(), ctypes.c_double()
+        given = [(ctypes.c_double * part.size)(*part.ravel()) for part in given]
+        status = function(*given, None, None, answer, ctypes.byref(residual))
+        return status, np.array(answer)
+
+    expected = [*poses, *solver.inverse(r, R)]
+    got = [answers(library.robot_direct, q) for q in readings]
+    got += [answers(library.robot_inverse, *pose) for pose in zip(r, R, strict=True)]
+    for (status, x), python in zip(got, expected, strict=True):
+        assert status == python.status
+        if status == Status.CONVERGED:
+            rows = python.configuration.rows
+            np.testing.assert_allclose(x[: n + 12], rows[: n + 12], atol=1e-8)
