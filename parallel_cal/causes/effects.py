@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
-from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.unknown_laws import LOG_PRIOR
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.effect import Effect, parse_part
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_effect
-from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
-from parallel_cal.posterior.evidence import UNKNOWN, Choice, Evidence
+from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block, OwnNumbers
 from parallel_cal.posterior.scene import Scene, columns
-from parallel_cal.posterior.search import NO_RIVAL, SCAN_LOSS, WeighedSetting
 from parallel_cal.recordings.dataset import Dataset
 
 MIN_SCANNED = 3  # values of a setting, to refine it between them
 # Places, drivers and forms among which `discover` finds a law: what was found must pay for them.
 FORMS = 24_000
-# Shares of the distance of two scanned values: to which the best value between them is sought, and
-# the last digit that it keeps.
-REFINED_TO, KEPT_DIGITS = 1e-3, 1e-4
 SPREAD = 0.01  # of equal parts that are alike, in usual sizes
 DIGITS = 6  # of a scanned number, which a person copies
 
@@ -56,7 +49,7 @@ def list_effect_blocks(
             continue
         tried = len(settings)
         settings = [known[name]] if known.get(name) else settings
-        each = _yield_columns(scene, plain, settings)
+        each = yield_columns(scene, plain, settings)
         larger = [*effect.other_kinds(mechanism).values()]
         # Geometry that is fitted freely and plausible excludes a number that is grossly wrong.
         if effect.mistaken > 1 and scene.sizes is not None:
@@ -77,10 +70,28 @@ def list_effect_blocks(
             if apart.size:  # not each machine has them: a drum has no pitch that changes
                 settings, tried, usual = [*settings, {}], tried + 1, [*usual, apart]
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
-        block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual)
+        numbers = _list_own_numbers(stated, new, settings)
+        block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual, numbers)
         if block is not None:
             found.append(block)
     return found
+
+
+def _list_own_numbers(
+    model: Model, new: np.ndarray, settings: Sequence[Mapping[str, float]]
+) -> OwnNumbers | None:
+    """The scanned number of a model's last effect that joints may have of their own, with the new
+    parameters of each joint; None if there is none, or not more than one joint."""
+    effect = model.effects[-1]
+    if not effect.each or sum(effect.each in one for one in settings) < MIN_SCANNED:
+        return None
+    names = np.array(model.table.names)[new]
+    columns = {
+        joint: np.flatnonzero([name.startswith(f"{effect.name}.{joint}.") for name in names])
+        for joint in model.mechanism.joints
+    }
+    columns = {joint: own for joint, own in columns.items() if own.size}
+    return OwnNumbers(effect.each, columns) if len(columns) > 1 else None
 
 
 def widen(scene: Scene, names: Iterable[str]) -> tuple[Scene, list[Block]]:
@@ -106,186 +117,6 @@ def widen_scene(scene: Scene, wide: Model) -> tuple[Scene, np.ndarray]:
     return wider, columns(wide, wider, new)
 
 
-@dataclass(frozen=True)
-class Scan:
-    """The settings of one effect, weighed beside other causes: those that were scanned, as its
-    block has them, of which `best` is the likeliest, and others between them."""
-
-    scene: Scene
-    beside: Evidence
-    best: Choice
-
-    @property
-    def block(self) -> Block:
-        return self.best.block
-
-    @cached_property
-    def _plain(self) -> tuple[Model, np.ndarray]:
-        """The model with the effect, and its conditions."""
-        plain = self.scene.model.with_effect(self.block.name)
-        return plain, conditions(plain, self.scene.dataset)
-
-    def at(self, values: Mapping[str, float]) -> Block:
-        """The effect with one setting, and the usual sizes of the best."""
-        (plain, a), block = self._plain, self.block
-        root = block.usual[self.best.setting]
-        own = [compute_effect_columns(self.scene, plain, values, a)]
-        prior, tried = block.log_prior, block.tried
-        more = Block.of(self.scene, block.name, EFFECT, prior, own, [values], tried, [root])
-        return block if more is None else more
-
-    def weigh(self, values: Mapping[str, float]) -> float:
-        """The log posterior of the effect with one setting, at its likeliest size."""
-        return float(self.beside.weigh(self.at(values).alone).max())
-
-    def neighbours(self, setting: Mapping[str, float], key: str) -> list[float]:
-        """The scanned values of one number, with all others as the setting has them, in order;
-        none if they are too few to look between them."""
-        others = setting.items() - {(key, setting[key])}
-        values = sorted({one[key] for one in self.block.settings if others <= one.items() and one})
-        return values if len(values) >= MIN_SCANNED else []
-
-    def find_best(
-        self, key: str, scanned: Sequence[float], start: Mapping[str, float]
-    ) -> tuple[float, dict[str, float]]:
-        """The log posterior at the best value of one number between the scanned ones on both sides
-        of its start, and the setting with it."""
-        from scipy.optimize import minimize_scalar
-
-        low, high = find_bracket(scanned, start[key])
-        optimum = minimize_scalar(
-            lambda value: -self.weigh({**start, key: value}),
-            bounds=(low, high),
-            method="bounded",
-            options={"xatol": REFINED_TO * (high - low)},
-        )
-        # Further digits are not known, and a person copies the number.
-        decimals = -int(np.floor(np.log10(KEPT_DIGITS * (high - low))))
-        found = {**start, key: min(max(round(float(optimum.x), decimals), low), high)}
-        after, before = self.weigh(found), self.weigh(start)
-        return (after, found) if after > before else (before, dict(start))
-
-    def is_peak_at_multiple(self, setting: Mapping[str, float], other: Mapping[str, float]) -> bool:
-        """Whether another setting is the peak that `refine` finds at a multiple of a setting."""
-        return any(
-            low <= other[key] <= high
-            for multiple in load_effect(self.block.name).multiples(setting)
-            for key, value in multiple.items()
-            for low, high in [find_bracket(self.neighbours(self.block.settings[0], key), value)]
-        )
-
-    def has_likelier_neighbour(self, log_p: Callable[[Mapping[str, float]], float]) -> bool:
-        """Whether one of the next scanned values of a number is likelier than the best setting."""
-        setting = self.block.settings[self.best.setting]
-        for key, scanned in self.list_refined(setting).items():
-            near = find_bracket(scanned, setting[key])
-            if any(log_p({**setting, key: value}) > log_p(setting) for value in near):
-                return True
-        return False
-
-    def list_refined(self, setting: Mapping[str, float]) -> dict[str, list[float]]:
-        """The continuous numbers of a scanned setting, with their scanned values."""
-        if not load_effect(self.block.name).refines:
-            return {}
-        near = {key: self.neighbours(setting, key) for key in setting}
-        return {key: scanned for key, scanned in near.items() if scanned}
-
-    def refine(self) -> Choice:
-        """The best choice with its continuous numbers refined between their scanned neighbours,
-        each in turn, where the posterior is highest."""
-        scanned_setting = self.block.settings[self.best.setting]
-        effect, setting = load_effect(self.block.name), dict(scanned_setting)
-        for key, scanned in self.list_refined(scanned_setting).items():
-            starts = (setting, *({**setting, **one} for one in effect.multiples(setting)))
-            peaks = [self.find_best(key, scanned, start) for start in starts]
-            most = max(value for value, _ in peaks)
-            # The last of those that fit as well as the best.
-            setting = [found for value, found in peaks if value > most - EQUAL_EVIDENCE][-1]
-        if setting == scanned_setting:
-            return self.best
-        more = self.at(setting)
-        return Choice(more, 0, int(np.argmax(self.beside.weigh(more.alone)[0])))
-
-    def weigh_peak(
-        self, start: Mapping[str, float]
-    ) -> tuple[float, Mapping[str, float], Mapping[str, float]]:
-        """The log posterior of the peak about a setting, its height times its width, and the
-        setting there with its standard deviations."""
-        setting = dict(start)
-        refined = self.list_refined(self.block.settings[self.best.setting])
-        for key, scanned in refined.items():
-            _, setting = self.find_best(key, scanned, setting)
-        sigma, widest = self.compute_sigma(setting), {k: np.ptp(v) for k, v in refined.items()}
-        width = sum(np.log(sigma.get(key, widest[key])) for key in refined)
-        height = np.logaddexp.reduce(self.beside.weigh(self.at(setting).alone), axis=None)
-        return float(height + width), setting, sigma
-
-    def compute_sigma(self, refined: Mapping[str, float]) -> dict[str, float]:
-        """The standard deviation of each number that was refined from the best scanned setting: one
-        of them away, the logarithm of the posterior is lower by a half."""
-        sigma = {}
-        for key, scanned in self.list_refined(self.block.settings[self.best.setting]).items():
-            step = float(np.diff(scanned).min()) / 20
-            near = [self.weigh({**refined, key: refined[key] + away}) for away in (-step, 0, step)]
-            bend = float(2 * near[1] - near[0] - near[2]) / step**2
-            if bend > 0:
-                sigma[key] = bend**-0.5
-        return sigma
-
-
-def find_bracket(scanned: Sequence[float], value: float) -> tuple[float, float]:
-    """The scanned values on both sides of the one that is next to a value."""
-    at = int(np.argmin(np.abs(np.array(scanned) - value)))
-    return scanned[max(at - 1, 0)], scanned[min(at + 1, len(scanned) - 1)]
-
-
-def weigh_settings(scene: Scene, beside: Evidence, block: Block) -> list[WeighedSetting]:
-    """The settings of an effect beside other causes, the likeliest first: of numbers that are
-    refined, one for each peak of the posterior."""
-    weights = beside.weigh(block.alone)
-    log_p = np.logaddexp.reduce(weights, axis=1)
-    keys = [frozenset(one.items()) for one in block.settings]
-    likeliest = {keys[i]: int(i) for i in np.argsort(log_p) if keys[i]}
-    # How high the peak may be of which a setting shows the rest.
-    highest = log_p + SCAN_LOSS / (1 - SCAN_LOSS) * np.maximum(log_p - beside.log_p, 0.0)
-    scans = {
-        i: Scan(scene, beside, Choice(block, i, int(np.argmax(weights[i]))))
-        for i in likeliest.values()
-    }
-    top = max(scans, key=log_p.__getitem__)
-    best = scans[top]
-    peaks = [
-        scan.weigh_peak(block.settings[i])
-        for i, scan in scans.items()
-        if highest[i] > log_p[top] - NO_RIVAL
-        and not scan.has_likelier_neighbour(
-            lambda setting: log_p[likeliest[frozenset(setting.items())]]
-        )
-    ]
-    for _, setting, _ in tuple(peaks):
-        for multiple in load_effect(block.name).multiples(setting):
-            if not any(best.is_peak_at_multiple(setting, other) for _, other, _ in peaks):
-                peaks.append(best.weigh_peak({**setting, **multiple}))
-    # Where a multiple fits as well, take the multiple.
-    doubted = [
-        any(
-            other > own - EQUAL_EVIDENCE and best.is_peak_at_multiple(setting, multiple)
-            for other, multiple, _ in peaks
-        )
-        for own, setting, _ in peaks
-    ]
-    found = np.array([weight for weight, *_ in peaks]) - EQUAL_EVIDENCE * np.array(doubted)
-    p = np.exp(found - np.logaddexp.reduce(found))
-    return [WeighedSetting(peaks[i][1], float(p[i]), peaks[i][2]) for i in np.argsort(-p)]
-
-
-def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
-    """The choice of an effect with its continuous settings refined; of another cause, itself."""
-    if best.block.kind != EFFECT or not best.block.settings[best.setting]:
-        return best
-    return Scan(scene, beside, best).refine()
-
-
 def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
     """The settings of an effect that its `scan` proposes, rounded where a number is continuous, but
     not beyond the ends of the scan: these may be physical bounds."""
@@ -303,26 +134,6 @@ def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
         return min(max(float(f"{value:.{DIGITS}g}"), low), high)
 
     return [{key: shorten(key, value) for key, value in one.items()} for one in found]
-
-
-def choose_setting(
-    scene: Scene, name: str, settings: Sequence[Mapping[str, float]]
-) -> tuple[Mapping[str, float], Mapping[str, float]]:
-    """The likeliest of the scanned settings of an effect beside no other cause, refined if the
-    effect is likelier than none, with the standard deviations of the refined numbers."""
-    plain = scene.model.with_effect(name)
-    each = _yield_columns(scene, plain, settings)
-    block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings)
-    if block is None:  # the geometry imitates it
-        return settings[0], {}
-    nothing = Evidence(float(scene.residual @ scene.residual), scene.dof, UNKNOWN)
-    [ranked] = nothing.rank(block.alone)
-    if ranked.log_p <= nothing.log_p:
-        return settings[ranked.best.setting], {}
-    scan = Scan(scene, nothing, ranked.best)
-    best = scan.refine()
-    refined = best.block.settings[best.setting]
-    return refined, scan.compute_sigma(refined)
 
 
 def list_effects_to_test(
@@ -351,7 +162,7 @@ def compute_effect_columns(
     return columns(extended, scene, find_new_parameters(scene.model, extended), a, share)
 
 
-def _yield_columns(
+def yield_columns(
     scene: Scene, plain: Model, settings: Iterable[Mapping[str, float]]
 ) -> Iterator[np.ndarray]:
     """Yield the columns of a model's last effect with each of these settings."""

@@ -12,12 +12,12 @@ from parallel_cal.base.confidence import EQUAL_EVIDENCE, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.effects import (
     MIN_SCANNED,
-    choose_setting,
     compute_effect_columns,
     find_missing_conditions,
     scan_settings,
     widen_scene,
 )
+from parallel_cal.causes.settings import choose_setting
 from parallel_cal.diagnosis.scoring import Score, score
 from parallel_cal.diagnosis.thresholds import (
     MIN_SLOW_CORRELATION,

@@ -10,8 +10,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from parallel_cal.causes.effects import list_effect_blocks, refine_setting, widen
+from parallel_cal.causes.effects import list_effect_blocks, widen
 from parallel_cal.causes.knocks import are_few, list_knock_blocks
+from parallel_cal.causes.settings import refine_setting
 from parallel_cal.causes.unknown_laws import list_unknown_blocks
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
@@ -159,8 +160,8 @@ class Causes:
             rest = tuple(one for one in found.chosen if one.block.name != name)
             beside = self.sum.evidence(rest, found.nu)
             for other in others:
-                scanned = beside.rank(blocks[other].alone)[0].best
-                best = refine_setting(self.scene, beside, scanned)
+                scanned = beside.let_joints_differ(beside.rank(blocks[other].alone)[0])
+                best = refine_setting(self.scene, beside, scanned.best)
                 sets.append((found.rivals[name][other], (*rest, best)))
         likeliest = self.sum.evidence(found.chosen, found.nu)
         return Doubt(self.scene, self.variance * likeliest.noise_variance, tuple(sets))

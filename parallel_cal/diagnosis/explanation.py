@@ -17,8 +17,8 @@ import numpy as np
 from parallel_cal.causes.effects import (
     compute_effect_columns,
     find_new_parameters,
-    weigh_settings,
 )
+from parallel_cal.causes.settings import weigh_settings
 from parallel_cal.causes.unknown_laws import name_law
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.causes import Causes, Doubt, as_effects, find_swaps
@@ -191,8 +191,9 @@ class Explanation:
         for one in self.best.chosen:
             peaks = self.described.settings.get(one.name)
             if peaks and one.name not in self.first:
-                own = np.array([[peak.values[key] for key, _ in one.fixed] for peak in peaks])
-                away = np.abs(own - [value for _, value in one.fixed]).sum(axis=1)
+                keys = sorted({key for peak in peaks for key in peak.values} | {*one.settings})
+                own = np.array([[peak.values.get(key, 0.0) for key in keys] for peak in peaks])
+                away = np.abs(own - [one.settings.get(key, 0.0) for key in keys]).sum(axis=1)
                 found[one.name] = replace(peaks[int(away.argmin())], values=one.settings)
         return found
 
@@ -239,12 +240,12 @@ class Explanation:
 
 def _weigh_settings(causes: Causes, found: Posterior) -> dict[str, list[WeighedSetting]]:
     """The likely settings of each effect that a sum found, with their probabilities."""
-    blocks, settings = {block.name: block for block in causes.blocks}, {}
+    settings = {}
     for one in found.chosen:
         if one.block.kind == EFFECT and one.is_scanned:
             rest = [other for other in found.chosen if other is not one]
             beside = causes.sum.evidence(rest, found.nu)
-            weighed = weigh_settings(causes.scene, beside, blocks[one.block.name])
+            weighed = weigh_settings(causes.scene, beside, one)
             settings[one.block.name] = [each for each in weighed if each.probability > MIN_SHOWN]
     return settings
 

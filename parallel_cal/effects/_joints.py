@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -95,6 +96,21 @@ def wave(own: Named, number: str, angle: Any) -> Any:
     return own[f"sin{number}"] * ca.sin(angle) + own[f"cos{number}"] * ca.cos(angle)
 
 
+def constant_of(e: Named, joint: str, name: str) -> Any:
+    """Return a constant of a joint: its own, or the common one where its own is 0."""
+    own, common = e[joint].get(name, 0), e.get(name, None)
+    return own if common is None else ca.if_else(own == 0, common, own)
+
+
+def make_own_constants(joints: Collection[str], common: Parameter) -> list[Parameter]:
+    """Return a constant that all joints share, and those that each of several may have of its
+    own."""
+    if len(joints) < 2:
+        return [common]
+    own = replace(common, nominal=0.0, low=0.0, label=f"{common.label} of its own, or 0")
+    return [common, *(replace(own, name=f"{joint}.{common.name}") for joint in joints)]
+
+
 def make_waves(
     joint: str, unit: str, size: float, highest: float, waves: Mapping[str, str]
 ) -> list[Parameter]:
@@ -148,10 +164,9 @@ class Harmonic(Effect):
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        k = e.get("order", self.order)
-
         def error(joint: str, q: Any) -> Any:
-            return wave(e[joint], "", k * q)
+            order = constant_of(e, joint, "order") if self.each else self.order
+            return wave(e[joint], "", order * q)
 
         return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
 

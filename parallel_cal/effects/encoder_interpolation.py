@@ -10,7 +10,9 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.effects._joints import (
+    constant_of,
     find_drives,
+    make_own_constants,
     make_waves,
     scan_periods,
     shift_joints,
@@ -28,15 +30,17 @@ class EncoderInterpolation(Effect):
     """q_ideal = q + sum over k = 1, 2 of sin_k * sin(2 pi k q / period) + cos_k * cos(2 pi k q /
     period) (m).
 
-    For every prismatic joint that is no line on a spool. All have the same `period` (m): state it
-    (the pole pitch of the scale or of the motor, the pitch of the belt), or let `scan` find it.
-    Offsets of an encoder's two signals cause an error with one period per `period`. Unequal
-    amplitudes and a wrong phase between the signals cause one with two. For revolute joints,
-    `gear_transmission_error` has the same form, with the period 2 pi / ratio. An error once per
-    turn of a screw is `screw_pitch_error`.
+    For every prismatic joint that is no line on a spool. All have the same `period` (m), except
+    those with a `joint.period` of their own that is not 0: state it (the pole pitch of the scale or
+    of the motor, the pitch of the belt), or let `scan` find it. Offsets of an encoder's two signals
+    cause an error with one period per `period`. Unequal amplitudes and a wrong phase between the
+    signals cause one with two. For revolute joints, `gear_transmission_error` has the same form,
+    with the period 2 pi / ratio. An error once per turn of a screw is `screw_pitch_error`.
     """
 
-    fixed = ("period",)
+    fixed = ("*period",)
+    each = "period"
+    added_later = ("*.period",)
     generalizes = ("screw_pitch_error",)
     physics = (
         "The two signals of a scale are no perfect sine and cosine, and the magnets of a linear "
@@ -48,18 +52,20 @@ class EncoderInterpolation(Effect):
     separated_by = "poses over the whole stroke whose distances are not multiples of the period"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        joints = _find_scales(mechanism)
+        common = Parameter("period", "m", 10e-3, 6e-3, low=10e-6, high=0.5, label="pitch")
         return [
-            Parameter("period", "m", 10e-3, 6e-3, low=10e-6, high=0.5, label="pitch"),
+            *make_own_constants(joints, common),
             *[
                 amplitude
-                for joint in _find_scales(mechanism)
+                for joint in joints
                 for amplitude in make_waves(joint, "m", 10e-6, 0.1e-3, WAVES)
             ],
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def error(joint: str, q: Any) -> Any:
-            own, turned = e[joint], 2 * ca.pi * q / e.period
+            own, turned = e[joint], 2 * ca.pi * q / constant_of(e, joint, "period")
             return wave(own, "1", turned) + wave(own, "2", 2 * turned)
 
         return shift_joints(seen, mechanism, _find_scales(mechanism), error)

@@ -9,8 +9,10 @@ import numpy as np
 
 from parallel_cal.effects._joints import (
     SMOOTH,
+    constant_of,
     find_revolute_joints,
     make_harmonics,
+    make_own_constants,
     needs_turning,
     shift_joints,
     sizes,
@@ -28,7 +30,8 @@ RATIOS = (3.0, 150.0)  # below: an encoder's harmonics; above: too fine for the 
 class GearTransmissionError(Effect):
     """q_ideal = q + sum over k = 1, 2 of sin_k * sin(k ratio q) + cos_k * cos(k ratio q) (rad).
 
-    All joints have one `ratio`. It is known from the gear's catalogue, or `scan` finds it. The best
+    All joints have one `ratio`, except those with a `joint.ratio` of their own that is not 0. It is
+    known from the gear's catalogue, or `scan` finds it. The best
     ratio of the scan is at most half a step from the true one and shows at least 90 % of the first
     harmonic. From there, a fit can refine the ratio together with the amplitudes (`--free`). If the
     readings are angles of motors that turn spools, the ratio is the angle of the spool per angle of
@@ -38,7 +41,9 @@ class GearTransmissionError(Effect):
     number of periods per turn of the joint as `ratio`.
     """
 
-    fixed = ("ratio",)
+    fixed = ("*ratio",)
+    each = "ratio"
+    added_later = ("*.ratio",)
     family = SMOOTH
     physics = "Eccentric gears and wave generators advance and delay the arm once per input turn."
     remedy = "keep the correction in the model; it stays valid until the gear is taken apart"
@@ -57,14 +62,14 @@ class GearTransmissionError(Effect):
             for amplitude in make_harmonics(joint, unit, size, most, WAVES)
         ]
         ratio = _find_spool_turns(mechanism)[0] if mechanism.winds else 50.0
-        return [
-            Parameter("ratio", "1", ratio, 0.4 * ratio, low=1e-3, high=250.0, label="gear ratio"),
-            *amplitudes,
-        ]
+        common = Parameter(
+            "ratio", "1", ratio, 0.4 * ratio, low=1e-3, high=250.0, label="gear ratio"
+        )
+        return [*make_own_constants(find_revolute_joints(mechanism), common), *amplitudes]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def ripple(joint: str, q: Any, k: int) -> Any:
-            return wave(e[joint], str(k), k * e.ratio * q)
+            return wave(e[joint], str(k), k * constant_of(e, joint, "ratio") * q)
 
         def error(joint: str, q: Any) -> Any:
             return ripple(joint, q, 1) + ripple(joint, q, 2)

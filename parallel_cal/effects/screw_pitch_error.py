@@ -9,7 +9,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import WAVE, find_drives, scan_periods, shift_joints, wave
+from parallel_cal.effects._joints import (
+    WAVE,
+    constant_of,
+    find_drives,
+    make_own_constants,
+    scan_periods,
+    shift_joints,
+    wave,
+)
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
@@ -29,14 +37,16 @@ class ScrewPitchError(Effect):
     """q_ideal = q + sin * sin(2 pi q / lead) + cos * cos(2 pi q / lead) + bend * q^2 (m).
 
     For every prismatic joint: a screw that wobbles, a drum or belt pulley that is eccentric, or
-    what turns with the motor of a stated gear. `lead` (m) is the travel per turn, one for all: the
-    model file states it with the drive, or it is known from the data sheet, or found by `scan`. If
-    stated drives have different leads, each has its own. Only screws bend. A line has the effect
-    only if the model file states its drive. A pitch or radius that is wrong by a constant factor is
-    `encoder_gain`.
+    what turns with the motor of a stated gear. `lead` (m) is the travel per turn, one for all but
+    those with a `joint.lead` of their own that is not 0: the model file states it with the drive,
+    or it is known from the data sheet, or found by `scan`. If stated drives have different leads,
+    each has its own. Only screws bend. A line has the effect only if the model file states its
+    drive. A pitch or radius that is wrong by a constant factor is `encoder_gain`.
     """
 
     fixed = ("*lead",)
+    each = "lead"
+    added_later = ("*.lead",)
     alone = ("*.bend",)
     physics = (
         "A screw that wobbles or is bent, or a drum or pulley that is eccentric, advances unevenly "
@@ -55,11 +65,14 @@ class ScrewPitchError(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         turning, stated = _find_turning_joints(mechanism), _state_leads(mechanism)
+        leads = [
+            Parameter(name, "m", lead, 6e-3, low=0.1e-3, high=max(WIDEST, lead), label="lead")
+            for name, lead in (stated or {"lead": 5e-3}).items()
+        ]
+        if [one.name for one in leads] == [self.each]:
+            leads = make_own_constants(turning, *leads)
         return [
-            *[
-                Parameter(name, "m", lead, 6e-3, low=0.1e-3, high=max(WIDEST, lead))
-                for name, lead in (stated or {"lead": 5e-3}).items()
-            ],
+            *leads,
             *[
                 Parameter(f"{joint}.{part}", unit, 0.0, size, low=-most, high=most, label=label)
                 for joint, drive in turning.items()
@@ -71,8 +84,7 @@ class ScrewPitchError(Effect):
         turning = _find_turning_joints(mechanism)
 
         def error(joint: str, q: Any) -> Any:
-            own = e[joint]
-            turned = 2 * ca.pi * q / own.get("lead", e.get("lead", None))
+            own, turned = e[joint], 2 * ca.pi * q / constant_of(e, joint, "lead")
             return wave(own, "", turned) + own.get("bend", 0.0) * q**2
 
         return shift_joints(seen, mechanism, turning, error)

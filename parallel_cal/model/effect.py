@@ -104,6 +104,9 @@ class Effect(ABC):
     fixed : tuple of str
         Name patterns of its parameters that are known constants. A fit does not identify them.
         Default none.
+    each : str
+        Name of a known constant of which each joint may have its own, the parameter `joint.NAME`:
+        0 where a joint has the common one. A diagnosis looks for joints that differ. Default none.
     alone : tuple of str
         Name patterns of parameters that may be there without the others, whatever its known
         constants are. A diagnosis weighs these alone, too. Default none.
@@ -157,6 +160,7 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
     fixed: ClassVar[tuple[str, ...]] = ()
+    each: ClassVar[str] = ""
     alone: ClassVar[tuple[str, ...]] = ()
     alike: ClassVar[tuple[str, ...]] = ()
     added_later: ClassVar[tuple[str, ...]] = ()

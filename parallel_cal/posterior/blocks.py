@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,15 +18,18 @@ NEGLIGIBLE = 1e-7  # sum of squares of a column that changes no logarithm of evi
 LOG_ODDS = np.log(1 / 30)  # that a robot has a known cause, before anything is measured
 
 
-@dataclass(frozen=True, eq=False)
-class Block:
-    """One possible cause of an error: columns B_1 ... B_m, one set for each of its settings.
+@dataclass(frozen=True)
+class OwnNumbers:
+    """A number that joints may have of their own: its `name`, and for each joint its `columns`
+    among those of a setting."""
 
-    The residual that it makes is s B_i u with u ~ N(0, 1): a column is what one coefficient of its
-    usual size does to the residual, in units of the noise, and s is the size of the cause in usual
-    sizes. Only what the geometry cannot imitate counts. The coefficients u are turned by T_i (a
-    `turn` each) so that the columns B_i T_i of a setting are orthogonal: `squares` (m, k) are their
-    sums of squares, and `onto` (m, k) their products with the residual.
+    name: str
+    columns: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """What may cause an error, before anything is measured.
 
     Attributes
     ----------
@@ -36,14 +39,11 @@ class Block:
         EFFECT; LAW of the robot outside the catalogue; FIELD of errors of the measuring device;
         DRIFT of the noise; KNOCK that disturbed a single sample.
     log_prior : float
-        Logarithm of the odds that a robot has this cause, before anything is measured.
+        Logarithm of the odds that a robot has this cause.
     settings : tuple of Mapping
-        The numbers that each set of columns is for; empty for what has none.
+        Its numbers, which are scanned; empty for what has none.
     tried : int
         The number of settings that were scanned, which the evidence for one of them must pay for.
-    usual : tuple of array
-        For each setting of an effect, a root L (p, k) of the covariance L L' that its p parameters
-        usually have, in tolerances; a row is zero where a setting is without that parameter.
     """
 
     name: str
@@ -51,11 +51,40 @@ class Block:
     log_prior: float
     settings: tuple[Mapping[str, float], ...]
     tried: int
+
+
+@dataclass(frozen=True, eq=False)
+class Block(Cause):
+    """One possible cause of an error: columns B_1 ... B_m, one set for each of its settings.
+
+    The residual that it makes is s B_i u with u ~ N(0, 1): a column is what one coefficient of its
+    usual size does to the residual, in units of the noise, and s is the size of the cause in usual
+    sizes. Only what the geometry cannot imitate counts. The coefficients u are turned by T_i (a
+    `turn` each) so that the columns B_i T_i of a setting are orthogonal: `squares` (m, k) are their
+    sums of squares, and `onto` (m, k) their products with the `residual` (n,).
+
+    Attributes
+    ----------
+    usual : tuple of array
+        For each setting of an effect, a root L (p, k) of the covariance L L' that its p parameters
+        usually have, in tolerances; a row is zero where a setting is without that parameter.
+    own : OwnNumbers or None
+        The number of its settings that joints may have of their own.
+    whole : tuple of Block and array, or None
+        Of a cause in one joint alone: the cause in all, and the columns of this joint.
+    scanned : Block or None
+        Where joints have numbers of their own, the block in which all have the same.
+    """
+
     columns: tuple[np.ndarray, ...] = field(repr=False)
     turns: np.ndarray = field(repr=False)
     squares: np.ndarray = field(repr=False)
     onto: np.ndarray = field(repr=False)
     usual: tuple[np.ndarray, ...] = field(repr=False)
+    residual: np.ndarray = field(repr=False)
+    own: OwnNumbers | None = None
+    whole: tuple[Block, np.ndarray] | None = field(default=None, repr=False)
+    scanned: Block | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -68,6 +97,7 @@ class Block:
         settings: Sequence[Mapping[str, float]] = (),
         tried: int | None = None,
         usual: Sequence[np.ndarray] = (),
+        own: OwnNumbers | None = None,
     ) -> Block | None:
         """Make a block of columns (n, p) for each setting; None if the geometry imitates it.
 
@@ -75,11 +105,28 @@ class Block:
         taken again in turn. Turns of sets with fewer columns than others are padded with zeros,
         which change no evidence.
         """
-        own, products = list[np.ndarray](), list[tuple[np.ndarray, np.ndarray]]()
-        for one in columns:  # in turn: together they are large
-            own.append(scene.project_off_geometry(one).astype(np.float32))
-            rounded = own[-1].astype(float)
-            products.append((rounded.T @ rounded, scene.residual @ rounded))
+        # In turn: together they are large.
+        left = [scene.project_off_geometry(one).astype(np.float32) for one in columns]
+        made = cls.of_projected(scene.residual, left, usual, name, kind, log_prior, settings, tried)
+        return made and replace(made, own=own)
+
+    @classmethod
+    def of_projected(
+        cls,
+        residual: np.ndarray,
+        own: Sequence[np.ndarray],
+        usual: Sequence[np.ndarray],
+        name: str,
+        kind: str,
+        log_prior: float,
+        settings: Sequence[Mapping[str, float]],
+        tried: int | None,
+    ) -> Block | None:
+        """Make a block of columns without what the geometry imitates."""
+        products = list[tuple[np.ndarray, np.ndarray]]()
+        for one in own:
+            rounded = one.astype(float)
+            products.append((rounded.T @ rounded, residual @ rounded))
         roots = tuple(usual) or tuple(np.eye(one.shape[1]) for one in own)
         each = [k % len(own) for k in range(len(roots))]
         tall, wide = (max(one.shape[axis] for one in roots) for axis in (0, 1))
@@ -99,7 +146,45 @@ class Block:
         squares = np.maximum(squares[:, counts], 0.0)
         tried, turns, onto = tried or len(roots), turns[:, :, counts], onto[:, counts]
         shared = tuple(own[k] for k in each)
-        return cls(name, kind, log_prior, given, tried, shared, turns, squares, onto, roots)
+        numbers = given, tried, shared, turns, squares, onto, roots
+        return cls(name, kind, log_prior, *numbers, residual)
+
+    @cached_property
+    def parts(self) -> list[Stack]:
+        """The cause in each joint alone, under the joint's name, if joints may have numbers of
+        their own."""
+        found = list[Block]()
+        for joint, own in self.own.columns.items() if self.own else ():
+            roots = [root[own][:, root[own].any(axis=0)] for root in self.usual]
+            sliced = [B[:, own] for B in self.columns]
+            given = joint, self.kind, 0.0, self.settings, self.tried
+            part = self.of_projected(self.residual, sliced, roots, *given)
+            if part is not None:
+                found.append(replace(part, whole=(self, own)))
+        return Stack.of_alike(found)
+
+    def combine(self, common: int, apart: Mapping[str, int]) -> Block | None:
+        """The cause with the number of one setting in all joints except those `apart`, which have
+        that of other settings; None if the geometry imitates it. A joint that differs is as likely
+        as one more cause."""
+        assert self.own is not None
+        key = common, tuple(sorted(apart.items()))
+        if key not in self._combined:
+            B, setting = self.columns[common].copy(), dict(self.settings[common])
+            for joint, other in apart.items():
+                own = self.own.columns[joint]
+                B[:, own] = self.columns[other][:, own]
+                setting[f"{joint}.{self.own.name}"] = self.settings[other][self.own.name]
+            tried = self.tried ** (1 + len(apart))
+            log_prior = self.log_prior + LOG_ODDS * len(apart)
+            given = self.name, self.kind, log_prior, [setting], tried
+            made = self.of_projected(self.residual, [B], [self.usual[common]], *given)
+            self._combined[key] = made and replace(made, scanned=self)
+        return self._combined[key]
+
+    @cached_property
+    def _combined(self) -> dict[tuple[int, tuple[tuple[str, int], ...]], Block | None]:
+        return {}
 
     @cached_property
     def _turned(self) -> dict[int, np.ndarray]:
@@ -114,12 +199,31 @@ class Block:
 
     def times(self, columns: np.ndarray) -> np.ndarray:
         """The products (c, m, k) of other columns (n, c) with those of all settings."""
-        known, products = dict[int, np.ndarray](), list[np.ndarray]()
-        for B, turn in zip(self.columns, self.turns, strict=True):
-            if id(B) not in known:
-                known[id(B)] = columns.T @ B.astype(float)
-            products.append(known[id(B)] @ turn[: B.shape[1]])
-        return np.stack(products, axis=1)
+        if self.whole is not None:
+            block, own = self.whole
+            products = block._unturned(columns)[:, :, own]
+        else:
+            products = self._unturned(columns)
+        return np.ascontiguousarray((products @ self.turns).transpose(1, 0, 2))
+
+    def _unturned(self, columns: np.ndarray) -> np.ndarray:
+        """The products (m, c, p) of other columns (n, c) with those of all settings, not turned;
+        they are kept for the parts of a cause."""
+        if id(columns) in self._known:
+            return self._known[id(columns)][1]
+        each, (tall, c) = {id(B): B for B in self.columns}, (self.turns.shape[1], columns.shape[1])
+        known = dict[int, np.ndarray]()
+        for key, B in each.items():
+            known[key] = np.zeros((c, tall))
+            known[key][:, : B.shape[1]] = columns.T @ B.astype(float)
+        products = np.array([known[id(B)] for B in self.columns])
+        if self.own is not None:
+            self._known[id(columns)] = columns, products
+        return products
+
+    @cached_property
+    def _known(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        return {}
 
     @cached_property
     def alone(self) -> Stack:

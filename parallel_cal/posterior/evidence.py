@@ -13,7 +13,8 @@ with d degrees of freedom (Gelman et al., Bayesian Data Analysis, 3rd ed., secti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,6 +26,9 @@ SIZES = np.array([0.3, 1.0, 3.0, 10.0, 30.0])
 LOG_WEIGHTS = np.log([0.25, 0.4, 0.22, 0.1, 0.03])
 # Degrees of freedom of what is known of the noise: stated, or hardly believed.
 STATED, UNKNOWN = 200.0, 2.0
+# Of the evidence for a wave, at most this share is lost between two numbers that are scanned: they
+# are half a peak's width apart, and sinc(1/4)^2 = 0.81.
+SCAN_LOSS = 0.25
 
 
 @dataclass(frozen=True)
@@ -53,10 +57,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A cause beside others: log posterior over all settings and sizes, and its best choice."""
+    """A cause beside others: log posterior over all settings and sizes, and its best choice; the
+    `rivals` are choices that may be better between the numbers that were scanned."""
 
     log_p: float
     best: Choice
+    rivals: tuple[Choice, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -170,6 +176,68 @@ class Evidence:
             total = float(np.logaddexp.reduce(own, axis=None))
             found.append(Ranked(total, Choice(block, int(setting), int(size))))
         return found
+
+    def let_joints_differ(self, common: Ranked, least: float = -np.inf) -> Ranked:
+        """A cause whose joints may have numbers of their own, unless it cannot have the log
+        posterior `least`.
+
+        The joints in which it is likely are taken in turn, the likeliest first: each has the number
+        of the others, or its own if that is likelier though it is one more that was chosen.
+        """
+        block = common.best.block
+        # The number for all explains as much as that joint which explains most by its own.
+        if block.own is None or self._promise(len(block.own.columns) * [common.log_p]) < least:
+            return common
+        beside, own = self, dict[str, int]()
+        while True:
+            parts = (one for stack in block.parts for one in beside.rank(stack))
+            left = [one for one in parts if one.best.block.name not in own]
+            likeliest = max(left, key=lambda one: one.log_p, default=None)
+            if not own and self._promise(one.log_p for one in left) < max(least, common.log_p):
+                return common
+            if likeliest is None or likeliest.log_p <= beside.log_p:
+                break
+            own[likeliest.best.block.name] = likeliest.best.setting
+            beside = replace(beside, chosen=(*beside.chosen, likeliest.best))
+        if len(set(own.values())) < 2:
+            return common
+        found = [Ranked(common.log_p, common.best)]
+        starts = [one for one in {common.best.setting, *own.values()} if block.settings[one]]
+        for start in starts:
+            apart, reached = dict[str, int](), self._weigh_alone(block.combine(start, {}))
+            for joint in own:
+                if own[joint] == start or len(apart) + 1 == len(block.own.columns):
+                    continue  # one joint has the common number
+                more = self._weigh_alone(block.combine(start, {**apart, joint: own[joint]}))
+                if more and (reached is None or more.log_p > reached.log_p):
+                    apart[joint], reached = own[joint], more
+            if apart and reached:
+                found.append(reached)
+        found.sort(key=lambda one: -one.log_p)
+        total = float(np.logaddexp.reduce([one.log_p for one in found]))
+        near = (one.best for one in found[1:] if self.highest(one.log_p) > found[0].log_p)
+        return Ranked(total, found[0].best, tuple(near))
+
+    def _promise(self, each: Iterable[float]) -> float:
+        """The log posterior that causes have together at most, at the peaks of their numbers, if
+        `each` is that of one: they explain the sum of the squares that each explains."""
+        power = (self.nu + self.dof) / 2
+        shares = (1 - np.exp(min(self.log_p - one, 0.0) / power) for one in each)
+        left = 1 - float(sum(shares)) / (1 - SCAN_LOSS)
+        return self.log_p - power * float(np.log(max(left, 1e-12)))
+
+    def highest(self, log_p: float) -> float:
+        """The log posterior that one more cause has at most at the peak of numbers of which it has
+        a `log_p` at those that were scanned."""
+        return max(log_p, self.log_p + (log_p - self.log_p) / (1 - SCAN_LOSS))
+
+    def _weigh_alone(self, block: Block | None) -> Ranked | None:
+        """A cause with one setting beside others."""
+        if block is None:
+            return None
+        weighed = self.weigh(block.alone)[0]
+        best = Choice(block, 0, int(np.argmax(weighed)))
+        return Ranked(float(np.logaddexp.reduce(weighed)), best)
 
     def _log_t(self, squares: float | np.ndarray, log_det: float | np.ndarray) -> np.ndarray:
         from scipy.special import gammaln

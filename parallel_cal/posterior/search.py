@@ -14,9 +14,6 @@ from parallel_cal.posterior.scene import Scene
 
 MAX_CAUSES = 6  # beside knocked samples
 MAX_ROUNDS = 4
-# Of the evidence for a wave, at most this share is lost between two numbers that are scanned: they
-# are half a peak's width apart, and sinc(1/4)^2 = 0.81.
-SCAN_LOSS = 0.25
 NO_RIVAL = 7.0  # of the logarithm: a set that is less likely by more need not be known well
 MAX_FIRST = 4  # effects that are tried as one of two in the place of one
 
@@ -108,8 +105,11 @@ class Sum:
         out = {*taken, *self.left_out}
         stacks = (stack for stack in self.stacks if any(b.name not in out for b in stack.blocks))
         ranked = (one for stack in stacks for one in evidence.rank(stack))
-        left = (one for one in ranked if one.best.block.name not in out)
-        return sorted(left, key=lambda one: -one.log_p)
+        left = [one for one in ranked if one.best.block.name not in out]
+        least = max((one.log_p for one in left), default=0.0) - NO_RIVAL
+        return sorted(
+            (evidence.let_joints_differ(one, least) for one in left), key=lambda one: -one.log_p
+        )
 
     def search(self, chosen: tuple[Choice, ...] = ()) -> Posterior:
         """Add, exchange, split and remove causes until nothing is likelier, from a set that may be
@@ -178,7 +178,8 @@ class Sum:
             before = chosen
             for k, one in enumerate(chosen):
                 rest = self.evidence(chosen[:k] + chosen[k + 1 :], self.nu)
-                chosen = (*chosen[:k], rest.rank(one.block.alone)[0].best, *chosen[k + 1 :])
+                [ranked] = rest.rank(one.block.alone)
+                chosen = (*chosen[:k], rest.let_joints_differ(ranked).best, *chosen[k + 1 :])
             if chosen == before:
                 break
         return chosen
@@ -196,16 +197,20 @@ class Sum:
 
     def _highest(self, beside: Evidence, one: Ranked) -> float:
         """The log posterior that one more cause has at most at the peak of its numbers."""
-        lost = SCAN_LOSS if one.best.block.settings[one.best.setting] else 0.0
-        return max(one.log_p, beside.log_p + (one.log_p - beside.log_p) / (1 - lost))
+        has_numbers = bool(one.best.block.settings[one.best.setting])
+        return beside.highest(one.log_p) if has_numbers else one.log_p
 
     def _at_peak(self, beside: Evidence, one: Ranked) -> Ranked:
         """One more cause, with its numbers refined between those that were scanned."""
-        best = self._refined(beside, one.best)
-        if best is one.best:
+        peaks = [
+            beside.rank(refined.block.alone)[0]
+            for choice in (one.best, *one.rivals)
+            if (refined := self._refined(beside, choice)) is not choice
+        ]
+        if not peaks:
             return one
-        [refined] = beside.rank(best.block.alone)
-        return replace(refined, log_p=max(one.log_p, refined.log_p))
+        highest = max(peaks, key=lambda peak: peak.log_p)
+        return replace(highest, log_p=max(one.log_p, highest.log_p))
 
     def _polish(self, chosen: tuple[Choice, ...], nu: float) -> tuple[Choice, ...]:
         """Choose each cause again beside all others, until they stay."""

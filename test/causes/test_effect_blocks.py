@@ -7,7 +7,8 @@ import pytest
 
 import parallel_cal as pc
 from bench.truth import new_effects
-from parallel_cal.causes.effects import list_effect_blocks, scan_settings, weigh_settings
+from parallel_cal.causes.effects import list_effect_blocks, scan_settings
+from parallel_cal.causes.settings import weigh_settings
 from parallel_cal.diagnosis.addition import see
 from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.model.file.modelfile import dump_model, parse_model
@@ -76,7 +77,12 @@ def weigh_numbers(data, effect):
     found, _, [named] = causes.explain()
     [block] = causes.blocks
     nothing = causes.sum.evidence((), found.nu)
-    return named.settings, weigh_settings(causes.scene, nothing, block), block, nothing
+    return (
+        named.settings,
+        weigh_settings(causes.scene, nothing, Choice(block, 0, 0)),
+        block,
+        nothing,
+    )
 
 
 RIPPLE = ("gear_transmission_error", ("sin1", "cos1", "sin2", "cos2"))

@@ -1,0 +1,328 @@
+"""The numbers of effects that are scanned, refined where the posterior is highest, and weighed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from parallel_cal.base.confidence import EQUAL_EVIDENCE
+from parallel_cal.causes.effects import MIN_SCANNED, find_new_parameters, yield_columns
+from parallel_cal.identification.observations import conditions
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
+from parallel_cal.posterior.evidence import UNKNOWN, Choice, Evidence
+from parallel_cal.posterior.scene import Scene, columns
+from parallel_cal.posterior.search import NO_RIVAL, WeighedSetting
+
+# Shares of the distance of two scanned values: to which the best value between them is sought, and
+# the last digit that it keeps.
+REFINED_TO, KEPT_DIGITS = 1e-3, 1e-4
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The settings of one effect, weighed beside other causes: those that were scanned, as its
+    block has them, of which `best` is the likeliest, and others between them."""
+
+    scene: Scene
+    beside: Evidence
+    best: Choice
+
+    @property
+    def block(self) -> Block:
+        return self.best.block
+
+    @cached_property
+    def _plain(self) -> tuple[Model, np.ndarray]:
+        """The model with the effect, and its conditions."""
+        plain = self.scene.model.with_effect(self.block.name)
+        return plain, conditions(plain, self.scene.dataset)
+
+    def at(self, values: Mapping[str, float]) -> Block:
+        """The effect with one setting, and the usual sizes of the best."""
+        scanned, apart = self.scanned, len(self.list_own(values))
+        log_prior, tried = scanned.log_prior + LOG_ODDS * apart, scanned.tried ** (1 + apart)
+        more = self._make(self._columns(values), values, log_prior, tried)
+        return self.block if more is None else replace(more, scanned=scanned)
+
+    @property
+    def scanned(self) -> Block:
+        """The block of the settings that were scanned, in which joints do not differ."""
+        return self.block.scanned or self.block
+
+    def _make(
+        self,
+        columns: np.ndarray,
+        values: Mapping[str, float],
+        log_prior: float,
+        tried: int,
+        which: np.ndarray | slice = slice(None),
+    ) -> Block | None:
+        """A block of the columns of these parameters."""
+        root = self.block.usual[self.best.setting][which]
+        root = root[:, root.any(axis=0)]
+        given = self.block.name, EFFECT, log_prior, [values], tried
+        return Block.of_projected(self.scene.residual, [columns], [root], *given)
+
+    def _columns(
+        self, values: Mapping[str, float], which: np.ndarray | slice = slice(None)
+    ) -> np.ndarray:
+        """The columns of these parameters of one setting that the geometry cannot imitate."""
+        plain, a = self._plain
+        stated = plain.with_settings(self.block.name, values)
+        some = np.zeros(len(stated.table), dtype=bool)
+        some[np.flatnonzero(find_new_parameters(self.scene.model, stated))[which]] = True
+        made = columns(stated, self.scene, some, a)
+        return self.scene.project_off_geometry(made).astype(np.float32)
+
+    def _weigh_by(
+        self, key: str, setting: Mapping[str, float]
+    ) -> Callable[[Mapping[str, float]], float]:
+        """What weighs settings that differ from one in a number: if only some joints have it, these
+        beside the others, which is faster."""
+        own, apart = self.scanned.own, self.list_own(setting)
+        if own is None or not apart:
+            return self.weigh
+        has = [
+            j
+            for j in own.columns
+            if (own.name if f"{j}.{own.name}" not in apart else f"{j}.{own.name}") == key
+        ]
+        mine = np.concatenate([own.columns[joint] for joint in has])
+        others = np.setdiff1d(np.concatenate([*own.columns.values()]), mine)
+        rest = self._make(self._columns(setting, others), setting, 0.0, 1, others)
+        if rest is None:
+            return self.weigh
+        beside = replace(self.beside, chosen=(*self.beside.chosen, Choice(rest, 0, self.best.size)))
+
+        def weigh(values: Mapping[str, float]) -> float:
+            part = self._make(self._columns(values, mine), values, 0.0, 1, mine)
+            return beside.log_p if part is None else float(beside.weigh(part.alone).max())
+
+        return weigh
+
+    def weigh(self, values: Mapping[str, float]) -> float:
+        """The log posterior of the effect with one setting, at its likeliest size."""
+        return float(self.beside.weigh(self.at(values).alone).max())
+
+    def neighbours(self, setting: Mapping[str, float], key: str) -> list[float]:
+        """The scanned values of one number, with all others as the setting has them, in order;
+        none if they are too few to look between them."""
+        number, own = self.number_of(key), self.list_own(setting)
+        others = {(k, v) for k, v in setting.items() if k != number and k not in own}
+        values = sorted(
+            {one[number] for one in self.scanned.settings if others <= one.items() and one}
+        )
+        return values if len(values) >= MIN_SCANNED else []
+
+    def number_of(self, key: str) -> str:
+        """The number that was scanned, of one that a joint may have of its own."""
+        own = self.scanned.own
+        return own.name if own and key.endswith(f".{own.name}") else key
+
+    def list_own(self, setting: Mapping[str, float]) -> list[str]:
+        """The numbers of a setting that joints have of their own."""
+        return [key for key in setting if key != self.number_of(key)]
+
+    def find_best(
+        self, key: str, scanned: Sequence[float], start: Mapping[str, float]
+    ) -> tuple[float, dict[str, float]]:
+        """The log posterior at the best value of one number between the scanned ones on both sides
+        of its start, and the setting with it."""
+        from scipy.optimize import minimize_scalar
+
+        low, high = find_bracket(scanned, start[key])
+        weigh = self._weigh_by(key, start)
+        optimum = minimize_scalar(
+            lambda value: -weigh({**start, key: value}),
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": REFINED_TO * (high - low)},
+        )
+        # Further digits are not known, and a person copies the number.
+        decimals = -int(np.floor(np.log10(KEPT_DIGITS * (high - low))))
+        found = {**start, key: min(max(round(float(optimum.x), decimals), low), high)}
+        after, before = weigh(found), weigh(start)
+        return (after, found) if after > before else (before, dict(start))
+
+    def is_peak_at_multiple(self, setting: Mapping[str, float], other: Mapping[str, float]) -> bool:
+        """Whether another setting is the peak that `refine` finds at a multiple of a setting."""
+        return any(
+            low <= other[key] <= high
+            for multiple in load_effect(self.block.name).multiples(setting)
+            for key, value in multiple.items()
+            for low, high in [find_bracket(self.neighbours(self.block.settings[0], key), value)]
+        )
+
+    def has_likelier_neighbour(self, log_p: Callable[[Mapping[str, float]], float]) -> bool:
+        """Whether one of the next scanned values of a number is likelier than the best setting."""
+        setting = self.block.settings[self.best.setting]
+        for key, scanned in self.list_refined(setting).items():
+            near = find_bracket(scanned, setting[key])
+            if any(log_p({**setting, key: value}) > log_p(setting) for value in near):
+                return True
+        return False
+
+    def list_refined(self, setting: Mapping[str, float]) -> dict[str, list[float]]:
+        """The continuous numbers of a scanned setting, with their scanned values."""
+        if not load_effect(self.block.name).refines:
+            return {}
+        near = {key: self.neighbours(setting, key) for key in setting}
+        return {key: scanned for key, scanned in near.items() if scanned}
+
+    def refine(self) -> Choice:
+        """The best choice with its continuous numbers refined between their scanned neighbours,
+        each in turn, where the posterior is highest."""
+        scanned_setting = self.block.settings[self.best.setting]
+        effect, setting = load_effect(self.block.name), dict(scanned_setting)
+        for key, scanned in self.list_refined(scanned_setting).items():
+            number = self.number_of(key)
+            others = effect.multiples({**setting, number: setting[key]})
+            starts = (setting, *({**setting, key: one[number]} for one in others))
+            peaks = [self.find_best(key, scanned, start) for start in starts]
+            most = max(value for value, _ in peaks)
+            # The last of those that fit as well as the best.
+            setting = [found for value, found in peaks if value > most - EQUAL_EVIDENCE][-1]
+        setting = self._share_numbers(setting)
+        if setting == scanned_setting:
+            return self.best
+        more = self.at(setting)
+        return Choice(more, 0, int(np.argmax(self.beside.weigh(more.alone)[0])))
+
+    def _share_numbers(self, setting: dict[str, float]) -> dict[str, float]:
+        """The setting with fewer numbers of single joints, as long as that is likelier: such a
+        joint has the common one, or all others have its own."""
+        while own := self.list_own(setting):
+            rests = [{k: v for k, v in setting.items() if k != key} for key in own]
+            rests += [
+                {**rest, self.number_of(key): setting[key]}
+                for key, rest in zip(own, tuple(rests), strict=True)
+            ]
+            likeliest = max(rests, key=self.weigh)
+            if self.weigh(likeliest) <= self.weigh(setting):
+                break
+            setting = likeliest
+        return setting
+
+    def weigh_peak(
+        self, start: Mapping[str, float]
+    ) -> tuple[float, Mapping[str, float], Mapping[str, float]]:
+        """The log posterior of the peak about a setting, its height times its width, and the
+        setting there with its standard deviations."""
+        setting = dict(start)
+        refined = self.list_refined(self.block.settings[self.best.setting])
+        for key, scanned in refined.items():
+            _, setting = self.find_best(key, scanned, setting)
+        sigma, widest = self.compute_sigma(setting), {k: np.ptp(v) for k, v in refined.items()}
+        # Of the values that were scanned, so many share the evidence of one peak.
+        width = sum(
+            np.log(sigma.get(key, widest[key]) / np.diff(values).min())
+            for key, values in refined.items()
+        )
+        height = np.logaddexp.reduce(self.beside.weigh(self.at(setting).alone), axis=None)
+        return float(height + width), setting, sigma
+
+    def compute_sigma(self, refined: Mapping[str, float]) -> dict[str, float]:
+        """The standard deviation of each number that was refined from the best scanned setting: one
+        of them away, the logarithm of the posterior is lower by a half."""
+        sigma = {}
+        for key, scanned in self.list_refined(self.block.settings[self.best.setting]).items():
+            step = float(np.diff(scanned).min()) / 20
+            near = [self.weigh({**refined, key: refined[key] + away}) for away in (-step, 0, step)]
+            bend = float(2 * near[1] - near[0] - near[2]) / step**2
+            if bend > 0:
+                sigma[key] = bend**-0.5
+        return sigma
+
+
+def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
+    """The choice of an effect with its continuous settings refined; of another cause, itself."""
+    if best.block.kind != EFFECT or not best.block.settings[best.setting]:
+        return best
+    return Scan(scene, beside, best).refine()
+
+
+def choose_setting(
+    scene: Scene, name: str, settings: Sequence[Mapping[str, float]]
+) -> tuple[Mapping[str, float], Mapping[str, float]]:
+    """The likeliest of the scanned settings of an effect beside no other cause, refined if the
+    effect is likelier than none, with the standard deviations of the refined numbers."""
+    plain = scene.model.with_effect(name)
+    each = yield_columns(scene, plain, settings)
+    block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings)
+    if block is None:  # the geometry imitates it
+        return settings[0], {}
+    nothing = Evidence(float(scene.residual @ scene.residual), scene.dof, UNKNOWN)
+    [ranked] = nothing.rank(block.alone)
+    if ranked.log_p <= nothing.log_p:
+        return settings[ranked.best.setting], {}
+    scan = Scan(scene, nothing, ranked.best)
+    best = scan.refine()
+    refined = best.block.settings[best.setting]
+    return refined, scan.compute_sigma(refined)
+
+
+def weigh_settings(scene: Scene, beside: Evidence, found: Choice) -> list[WeighedSetting]:
+    """The settings of an effect that was found beside other causes, the likeliest first: of numbers
+    that are refined, one for each peak of the posterior."""
+    block = found.block.scanned or found.block
+    weights = beside.weigh(block.alone)
+    log_p = np.logaddexp.reduce(weights, axis=1)
+    keys = [frozenset(one.items()) for one in block.settings]
+    likeliest = {keys[i]: int(i) for i in np.argsort(log_p) if keys[i]}
+    # How high the peak may be of which a setting shows the rest.
+    highest = [beside.highest(one) for one in log_p]
+    scans = {
+        i: Scan(scene, beside, Choice(block, i, int(np.argmax(weights[i]))))
+        for i in likeliest.values()
+    }
+    top = max(scans, key=log_p.__getitem__)
+    best = scans[top]
+    peaks = [
+        scan.weigh_peak(block.settings[i])
+        for i, scan in scans.items()
+        if highest[i] > log_p[top] - NO_RIVAL
+        and not scan.has_likelier_neighbour(
+            lambda setting: log_p[likeliest[frozenset(setting.items())]]
+        )
+    ]
+    if apart := _find_apart(scene, beside, found):
+        peaks.append(Scan(scene, beside, apart).weigh_peak(apart.block.settings[0]))
+    for _, setting, _ in tuple(peaks):
+        for multiple in load_effect(block.name).multiples(setting):
+            if not any(best.is_peak_at_multiple(setting, other) for _, other, _ in peaks):
+                peaks.append(best.weigh_peak({**setting, **multiple}))
+    # Where a multiple fits as well, take the multiple.
+    doubted = [
+        any(
+            other > own - EQUAL_EVIDENCE and best.is_peak_at_multiple(setting, multiple)
+            for other, multiple, _ in peaks
+        )
+        for own, setting, _ in peaks
+    ]
+    logs = np.array([weight for weight, *_ in peaks]) - EQUAL_EVIDENCE * np.array(doubted)
+    p = np.exp(logs - np.logaddexp.reduce(logs))
+    return [WeighedSetting(peaks[i][1], float(p[i]), peaks[i][2]) for i in np.argsort(-p)]
+
+
+def _find_apart(scene: Scene, beside: Evidence, found: Choice) -> Choice | None:
+    """The likeliest choice of an effect with numbers that joints have of their own, refined: what
+    was found, if joints differ in it; None if one number for all is likelier."""
+    block = found.block.scanned or found.block
+    if len(found.block.settings[found.setting]) > len(block.settings[0]):
+        return found
+    ranked = beside.let_joints_differ(beside.rank(block.alone)[0])
+    scans = [Scan(scene, beside, one) for one in (ranked.best, *ranked.rivals)]
+    refined = [one.refine() for one in scans if one.best.block.scanned is not None]
+    apart = [one for one in refined if len(one.block.settings[0]) > len(block.settings[0])]
+    return max(apart, key=lambda one: beside.weigh(one.block.alone).max(), default=None)
+
+
+def find_bracket(scanned: Sequence[float], value: float) -> tuple[float, float]:
+    """The scanned values on both sides of the one that is next to a value."""
+    at = int(np.argmin(np.abs(np.array(scanned) - value)))
+    return scanned[max(at - 1, 0)], scanned[min(at + 1, len(scanned) - 1)]

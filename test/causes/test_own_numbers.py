@@ -1,0 +1,85 @@
+"""Numbers that joints have of their own: gears, screws and encoders of one robot that differ."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import parallel_cal as pc
+from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.model.model import Noise, new_model
+
+
+def with_ripples(ratios, seed, poses=120, size=0.6e-3):
+    """Samples of a Delta whose gears have these ratios, as its own readings would show them."""
+    model, rng = new_model("delta24"), np.random.default_rng(seed)
+    data = pc.simulate(model, poses, seed).dataset()
+    true = data.q
+    phases = rng.uniform(0, 2 * np.pi, 3)
+    read = true.copy()
+    for _ in range(50):  # true = read + size sin(ratio read + phase)
+        read = true - size * np.sin(np.array(ratios) * read + phases)
+    return model, replace(data, q=read)
+
+
+@pytest.mark.parametrize("ratios", [(9.0, 15.0, 15.0), (7.3, 21.0, 33.0)])
+def test_gears_that_differ_have_their_own_ratios(ratios):
+    """A ratio of 7.5 was named for gears of 9 and 15, and nothing for three ratios."""
+    model, data = with_ripples(ratios, 2)
+    found = pc.diagnose(model, data, joint_sigma=1.2e-4)
+    assert found.effects == ("gear_transmission_error",)
+    [named] = found.best.chosen
+    setting = named.settings
+    each = [setting.get(f"joint{k}.ratio", setting["ratio"]) for k in (1, 2, 3)]
+    assert each == pytest.approx(ratios, abs=0.3)
+    assert len(setting) == len(set(ratios))  # equal gears share a number
+    [weighed] = [one["settings"]["gear_transmission_error"] for one in found.missing]
+    assert weighed[0]["probability"] > 0.9
+    assert set(weighed[0]["sigma"]) == set(setting)
+    before, after = (one.fitted.held_out.summary.position_rms for one in (found.base, found.best))
+    assert after < 0.5 * before
+    assert found.left == "no"
+
+
+def test_equal_gears_have_one_ratio():
+    model, data = with_ripples((12.4, 12.4, 12.4), 3)
+    found = pc.diagnose(model, data, joint_sigma=1.2e-4)
+    [named] = found.best.chosen
+    assert named.settings == pytest.approx({"ratio": 12.4}, abs=0.3)
+
+
+def test_screws_of_one_robot_may_have_different_leads():
+    """Two axes with a lead of 5 mm, and one with 8 mm."""
+    leads = {"joint1": 5.1e-3, "joint2": 5.1e-3, "joint3": 8.2e-3}
+    waves = ",".join(f"{joint}.sin={60e-6!r},{joint}.lead={v!r}" for joint, v in leads.items())
+    noise = Noise(joint=2e-6, position=1e-5, orientation=1e-4)
+    model = replace(new_model("linear_delta"), noise=noise)
+    data = pc.simulate(model, 120, 4, effects=[f"screw_pitch_error:lead=5.1e-3,{waves}"]).dataset()
+    found = pc.diagnose(model, data)
+    [named] = found.best.chosen
+    assert named.name == "screw_pitch_error"
+    each = [named.settings.get(f"{joint}.lead", named.settings["lead"]) for joint in leads]
+    assert each == pytest.approx([*leads.values()], rel=0.02)
+
+
+def test_files_of_earlier_releases_have_one_number_for_all():
+    model = new_model("delta24").with_effect("gear_transmission_error", {"ratio": 80.0})
+    text = dump_model(model)
+    lines = [line for line in text.splitlines() if ".ratio" not in line]
+    assert len(lines) == len(text.splitlines()) - 3
+    read = parse_model("\n".join(lines), "robot.yaml")
+    assert read.table.names == model.table.names
+    np.testing.assert_array_equal(read.values, model.values)
+    np.testing.assert_array_equal(read.fixed, model.fixed)
+
+
+def test_an_own_number_takes_the_place_of_the_common_one():
+    settings = {"ratio": 9.0, "joint2.ratio": 15.0}
+    model = new_model("delta24").with_effect("gear_transmission_error", settings)
+    sizes = {f"gear_transmission_error.joint{k}.sin1": 1e-3 for k in (1, 2)}
+    values = np.array([sizes.get(n, v) for n, v in model.table.mapping(model.values).items()])
+    plain, q = pc.Kinematics(new_model("delta24")), np.array([0.3, 0.2, 0.1])
+    rippled = pc.Kinematics(model.with_values(values))
+    ideal = q + 1e-3 * np.array([np.sin(9 * 0.3), np.sin(15 * 0.2), 0.0])
+    r, expected = (one.position for one in (rippled.direct(q), plain.direct(ideal)))
+    np.testing.assert_allclose(r, expected, atol=1e-9)
