@@ -44,10 +44,9 @@ class Scan:
 
     def at(self, values: Mapping[str, float]) -> Block:
         """The effect with one setting, and the usual sizes of the best."""
-        scanned, apart = self.scanned, len(self.list_own(values))
-        log_prior, tried = scanned.log_prior + LOG_ODDS * apart, scanned.tried ** (1 + apart)
-        more = self._make(self._columns(values), values, log_prior, tried)
-        return self.block if more is None else replace(more, scanned=scanned)
+        price = self.scanned.price(len(self.list_own(values)))
+        more = self._make(self._columns(values), values, *price)
+        return self.block if more is None else replace(more, scanned=self.scanned)
 
     @property
     def scanned(self) -> Block:
@@ -87,11 +86,8 @@ class Scan:
         own, apart = self.scanned.own, self.list_own(setting)
         if own is None or not apart:
             return self.weigh
-        has = [
-            j
-            for j in own.columns
-            if (own.name if f"{j}.{own.name}" not in apart else f"{j}.{own.name}") == key
-        ]
+        has = [j for j in own.columns if f"{j}.{own.name}" not in apart]
+        has = has if key == own.name else [key.removesuffix(f".{own.name}")]
         mine = np.concatenate([own.columns[joint] for joint in has])
         others = np.setdiff1d(np.concatenate([*own.columns.values()]), mine)
         rest = self._make(self._columns(setting, others), setting, 0.0, 1, others)

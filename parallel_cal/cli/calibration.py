@@ -144,7 +144,7 @@ class Given:
 
     @property
     def without_exclusions(self) -> Given:
-        """The same without the samples that were excluded."""
+        """What was given, but with all samples: none is excluded."""
         kept = [item for item in self.data or [] if not item.startswith("exclude=")]
         return replace(self, data=kept)
 

@@ -165,26 +165,22 @@ class Block(Cause):
 
     def combine(self, common: int, apart: Mapping[str, int]) -> Block | None:
         """The cause with the number of one setting in all joints except those `apart`, which have
-        that of other settings; None if the geometry imitates it. A joint that differs is as likely
-        as one more cause."""
+        that of other settings; None if the geometry imitates it."""
         assert self.own is not None
-        key = common, tuple(sorted(apart.items()))
-        if key not in self._combined:
-            B, setting = self.columns[common].copy(), dict(self.settings[common])
-            for joint, other in apart.items():
-                own = self.own.columns[joint]
-                B[:, own] = self.columns[other][:, own]
-                setting[f"{joint}.{self.own.name}"] = self.settings[other][self.own.name]
-            tried = self.tried ** (1 + len(apart))
-            log_prior = self.log_prior + LOG_ODDS * len(apart)
-            given = self.name, self.kind, log_prior, [setting], tried
-            made = self.of_projected(self.residual, [B], [self.usual[common]], *given)
-            self._combined[key] = made and replace(made, scanned=self)
-        return self._combined[key]
+        B, setting = self.columns[common].copy(), dict(self.settings[common])
+        for joint, other in apart.items():
+            own = self.own.columns[joint]
+            B[:, own] = self.columns[other][:, own]
+            setting[f"{joint}.{self.own.name}"] = self.settings[other][self.own.name]
+        log_prior, tried = self.price(len(apart))
+        given = self.name, self.kind, log_prior, [setting], tried
+        made = self.of_projected(self.residual, [B], [self.usual[common]], *given)
+        return made and replace(made, scanned=self)
 
-    @cached_property
-    def _combined(self) -> dict[tuple[int, tuple[tuple[str, int], ...]], Block | None]:
-        return {}
+    def price(self, apart: int) -> tuple[float, int]:
+        """The log odds of this cause, and the number of settings to choose from, if some joints
+        have a number of their own: each is as improbable as one more cause."""
+        return self.log_prior + LOG_ODDS * apart, self.tried ** (1 + apart)
 
     @cached_property
     def _turned(self) -> dict[int, np.ndarray]:

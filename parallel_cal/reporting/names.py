@@ -67,3 +67,9 @@ def name_effects(text: str) -> str:
 def name_step(step: str) -> str:
     """Name a step of a session for people: without the settings with which an effect began."""
     return name_effects(_SETTINGS.sub("", step))
+
+
+def name_setting(key: str) -> str:
+    """Name a number of an effect for people: `ratio`, and `ratio of joint2` for `joint2.ratio`."""
+    joint, _, name = key.rpartition(".")
+    return f"{name} of {joint}" if joint else name

@@ -27,6 +27,7 @@ from parallel_cal.reporting.blocks import (
 )
 from parallel_cal.reporting.contents import parameters as describe_parameters
 from parallel_cal.reporting.images import describe_images
+from parallel_cal.reporting.names import name_setting
 from parallel_cal.reporting.readable import (
     format_fixed,
     format_fixed_vector,
@@ -279,7 +280,8 @@ def _describe_settings(tested: Sequence[Candidate]) -> Iterator[str]:
     found beside each other, and those of each other candidate alone."""
     for one in tested:
         for key, sigma in one.sigma.items():
-            yield f"{one.name}: {key} {one.settings[key]:.4g} +- {sigma:.2g} fits best"
+            number = name_setting(key)
+            yield f"{one.name}: {number} {one.settings[key]:.4g} +- {sigma:.2g} fits best"
 
 
 def describe_discovery(found: Discovery) -> Iterator[Block]:

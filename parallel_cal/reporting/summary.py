@@ -17,7 +17,7 @@ from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
 from parallel_cal.reporting.blocks import Cell, Table
 from parallel_cal.reporting.contents import list_shown_kinds
-from parallel_cal.reporting.names import title_of
+from parallel_cal.reporting.names import name_setting, title_of
 from parallel_cal.reporting.readable import (
     COMMAND,
     FOUND,
@@ -199,7 +199,7 @@ def describe_effect(model: Model, effect: str, sigmas: Mapping[str, float] | Non
     2.1 arcmin, others up to 0.9)`, `gear_transmission_error (ratio 17.24 +- 0.20)`. `sigmas` are
     those of its settings, by the names that these have in a diagnosis."""
     sizes, settings = _describe_largest_joint(model, effect), list_settings(model, effect)
-    known = {key.rpartition(".")[2]: sigma for key, sigma in (sigmas or {}).items()}
+    known = {name_setting(key): sigma for key, sigma in (sigmas or {}).items()}
     shown = [sizes] if sizes else []
     for key, (values, unit) in settings.items():
         name, factor = value_unit(unit)
@@ -212,14 +212,18 @@ def describe_effect(model: Model, effect: str, sigmas: Mapping[str, float] | Non
 
 def list_settings(model: Model, effect: str) -> dict[str, tuple[set[float], str]]:
     """List the numbers of an effect that a diagnosis searches for, such as a lead or a ratio: their
-    values in all joints and their unit, by name."""
-    if type(load_effect(effect)).scan is Effect.scan:
+    values in all joints and their unit, by name. Those of a joint that differs have its name."""
+    kind = load_effect(effect)
+    if type(kind).scan is Effect.scan:
         return {}
     found = dict[str, tuple[set[float], str]]()
-    chosen = model.settings_of(effect)
+    chosen, has_common = model.settings_of(effect), f"{effect}.{kind.each}" in model.table.names
     for p, value, is_one in zip(model.table, model.values.tolist(), chosen, strict=True):
-        if is_one:
-            found.setdefault(p.name.rpartition(".")[2], (set(), p.unit))[0].add(value)
+        short = p.name.removeprefix(f"{effect}.")
+        is_own = has_common and short.endswith(f".{kind.each}")
+        if is_one and (value or not is_own):
+            name = name_setting(short) if is_own else short.rpartition(".")[2]
+            found.setdefault(name, (set(), p.unit))[0].add(value)
     return found
 
 

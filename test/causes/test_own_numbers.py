@@ -8,6 +8,7 @@ import pytest
 import parallel_cal as pc
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.reporting.summary import describe_effect
 
 
 def with_ripples(ratios, seed, poses=120, size=0.6e-3):
@@ -83,3 +84,11 @@ def test_an_own_number_takes_the_place_of_the_common_one():
     ideal = q + 1e-3 * np.array([np.sin(9 * 0.3), np.sin(15 * 0.2), 0.0])
     r, expected = (one.position for one in (rippled.direct(q), plain.direct(ideal)))
     np.testing.assert_allclose(r, expected, atol=1e-9)
+
+
+def test_each_joint_that_differs_is_named_with_its_number():
+    model = new_model("delta24").with_effect(
+        "gear_transmission_error", {"ratio": 9.0, "joint2.ratio": 15.0}
+    )
+    words = describe_effect(model, "gear_transmission_error", {"joint2.ratio": 0.11})
+    assert words.endswith("ratio 9; ratio of joint2 15.00 +- 0.11)")
