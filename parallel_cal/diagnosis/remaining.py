@@ -14,7 +14,7 @@ import numpy as np
 
 from parallel_cal.causes.unknown_laws import smooth
 from parallel_cal.diagnosis.noise_shape import NoiseShape
-from parallel_cal.diagnosis.scoring import Score, deflate, score, score_beside
+from parallel_cal.diagnosis.scoring import deflate, score, score_beside
 from parallel_cal.diagnosis.thresholds import CERTAINTY_LEVEL
 from parallel_cal.model.effect import parse_part
 from parallel_cal.posterior.scene import Scene
@@ -55,10 +55,12 @@ def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondit
         return None
     joints = scene.measured_jacobian[:, :, : len(scene.model.joints)]
     q = scene.x.T[: joints.shape[2]]
-    own = np.stack([smooth(one, OWN_LENGTH, OWN_CENTRES) for one in q], axis=1)
-    readings, log_p = _score_errors(scene, joints, own), dict[str, float]()
+    # A joint that stood at few places has fewer functions.
+    own = [smooth(one, OWN_LENGTH, OWN_CENTRES)[:, None] for one in q]
+    each = [_make_errors(joints[:, :, [i]], one) for i, one in enumerate(own)]
+    readings, log_p = score(scene, np.hstack(each)), dict[str, float]()
     for name, features in _iterate_features(scene):
-        found = _score_errors(scene, joints, features)
+        found = score(scene, _make_errors(joints, features))
         if readings.p_value < CERTAINTY_LEVEL:
             found = score_beside(scene, found, readings)
         inflation = shape.inflation if name.split(".")[0] in SLOW_CONDITIONS else 1.0
@@ -70,10 +72,10 @@ def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondit
     return RemainingCondition(name, p_value) if p_value < CERTAINTY_LEVEL else None
 
 
-def _score_errors(scene: Scene, joints: np.ndarray, features: np.ndarray) -> Score:
-    """The F test of errors of each joint that are any sum of its features (N, nq, k)."""
+def _make_errors(joints: np.ndarray, features: np.ndarray) -> np.ndarray:
+    """The residuals (n, nq k) that errors of joints make which are their features (N, nq, k)."""
     columns = joints[:, :, :, None] * features[:, None]
-    return score(scene, columns.reshape(len(scene.residual), -1))
+    return np.asarray(columns.reshape(joints.shape[0] * joints.shape[1], -1))
 
 
 def _iterate_features(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:

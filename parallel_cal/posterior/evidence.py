@@ -199,6 +199,8 @@ class Evidence:
                 break
             own[likeliest.best.block.name] = likeliest.best.setting
             beside = replace(beside, chosen=(*beside.chosen, likeliest.best))
+        # What needs no number, such as the bend of a screw, is alone in some joints.
+        own = {joint: one for joint, one in own.items() if block.settings[one]}
         if len(set(own.values())) < 2:
             return common
         found = [Ranked(common.log_p, common.best)]

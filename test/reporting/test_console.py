@@ -232,7 +232,7 @@ def test_the_joint_in_which_an_effect_is_largest_is_named_with_its_size():
     gear = new_model("delta54").with_effect("gear_transmission_error", {"ratio": 80.0})
     said = describe_effect(gear, "gear_transmission_error", {"ratio": 0.25})
     assert said.endswith("; ratio 80.00 +- 0.25)")
-    assert gear.settings_of("gear_transmission_error").sum() == 1
+    assert gear.settings_of("gear_transmission_error").sum() == 4  # for all, and 0 for each joint
     ratio = describe_parameters(
         gear, summarise_parameters(gear, np.full(len(gear.values), np.nan), gear.fixed)
     )["gear_transmission_error.ratio"]
