@@ -164,9 +164,10 @@ class Harmonic(Effect):
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        k = e.get("order", self.order)
+
         def error(joint: str, q: Any) -> Any:
-            order = constant_of(e, joint, "order") if self.each else self.order
-            return wave(e[joint], "", order * q)
+            return wave(e[joint], "", k * q)
 
         return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
 

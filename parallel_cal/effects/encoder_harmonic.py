@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.effects._joints import Harmonic, find_revolute_joints, make_own_constants
+from parallel_cal.effects._joints import Harmonic
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Parameter
 
@@ -17,15 +17,12 @@ ORDERS = range(3, 9)  # 1 and 2 are effects of their own; higher orders are pole
 class EncoderHarmonic(Harmonic):
     """q_ideal = q + sin * sin(order q) + cos * cos(order q) for every revolute joint (rad).
 
-    One integer `order` for all joints, except those with a `joint.order` of their own that is not
-    0: known (the number of screws or pole pairs), or found by
+    One integer `order` for all joints: known (the number of screws or pole pairs), or found by
     `scan`. The ripple of a gear does not have to repeat once per turn of the joint, and it has
     harmonics: that is `gear_transmission_error`.
     """
 
-    fixed = ("*order",)
-    each = "order"
-    added_later = ("*.order",)
+    fixed = ("order",)
     refines = False
     physics = (
         "A ring that n screws deform, or a magnet with n pole pairs, misreads n times per turn."
@@ -38,11 +35,10 @@ class EncoderHarmonic(Harmonic):
     order, tolerance = 3, 0.3e-3
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        common = Parameter(
+        order = Parameter(
             "order", "1", self.order, 20.0, low=1.0, high=200.0, label="waves per turn"
         )
-        orders = make_own_constants(find_revolute_joints(mechanism), common)
-        return [*orders, *super().parameters(mechanism)]
+        return [order, *super().parameters(mechanism)]
 
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]

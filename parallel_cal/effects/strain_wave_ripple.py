@@ -10,9 +10,7 @@ import numpy as np
 
 from parallel_cal.effects._joints import (
     SMOOTH,
-    constant_of,
     find_revolute_joints,
-    make_own_constants,
     make_waves,
     needs_turning,
     shift_joints,
@@ -34,13 +32,11 @@ class StrainWaveRipple(Effect):
     both ends of the generator pass every tooth of this spline once, so that an error of the spline
     has two periods. The two waves beat: their sum is largest, and smallest, twice per turn of the
     joint. If a joint moves far less than half a turn, the two waves look like one: use
-    `gear_transmission_error` with twice the ratio. All joints have the same `ratio`, except those
-    with a `joint.ratio` of their own that is not 0: state it, or `scan` tries usual ones.
+    `gear_transmission_error` with twice the ratio. All joints have the same `ratio`: state it, or
+    `scan` tries usual ones.
     """
 
-    fixed = ("*ratio",)
-    each = "ratio"
-    added_later = ("*.ratio",)
+    fixed = ("ratio",)
     generalizes = ("gear_transmission_error",)
     refines = False
     family = SMOOTH
@@ -51,21 +47,19 @@ class StrainWaveRipple(Effect):
     separated_by = "poses over half a turn of every joint, or more"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        joints = find_revolute_joints(mechanism)
-        common = Parameter("ratio", "1", 100.0, 40.0, low=10.0, high=400.0, label="gear ratio")
         return [
-            *make_own_constants(joints, common),
+            Parameter("ratio", "1", 100.0, 40.0, low=10.0, high=400.0, label="gear ratio"),
             *[
                 amplitude
-                for joint in joints
+                for joint in find_revolute_joints(mechanism)
                 for amplitude in make_waves(joint, "rad", 0.2e-3, 2e-3, WAVES)
             ],
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def error(joint: str, q: Any) -> Any:
-            own, ratio = e[joint], constant_of(e, joint, "ratio")
-            return wave(own, "_c", 2 * ratio * q) + wave(own, "_f", 2 * (ratio + 1) * q)
+            own, c, f = e[joint], 2 * e.ratio * q, 2 * (e.ratio + 1) * q
+            return wave(own, "_c", c) + wave(own, "_f", f)
 
         return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
 
