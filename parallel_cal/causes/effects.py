@@ -70,14 +70,14 @@ def list_effect_blocks(
             if apart.size:  # not each machine has them: a drum has no pitch that changes
                 settings, tried, usual = [*settings, {}], tried + 1, [*usual, apart]
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
-        numbers = _list_own_numbers(stated, new, settings)
+        numbers = list_own_numbers(stated, new, settings)
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual, numbers)
         if block is not None:
             found.append(block)
     return found
 
 
-def _list_own_numbers(
+def list_own_numbers(
     model: Model, new: np.ndarray, settings: Sequence[Mapping[str, float]]
 ) -> OwnNumbers | None:
     """The scanned number of a model's last effect that joints may have of their own, with the new

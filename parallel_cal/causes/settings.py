@@ -9,7 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.confidence import EQUAL_EVIDENCE
-from parallel_cal.causes.effects import MIN_SCANNED, find_new_parameters, yield_columns
+from parallel_cal.causes.effects import (
+    MIN_SCANNED,
+    find_new_parameters,
+    list_own_numbers,
+    yield_columns,
+)
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
@@ -243,10 +248,11 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
 
 
 def choose_setting(
-    scene: Scene, name: str, settings: Sequence[Mapping[str, float]]
+    scene: Scene, name: str, settings: Sequence[Mapping[str, float]], apart: bool = False
 ) -> tuple[Mapping[str, float], Mapping[str, float]]:
     """The likeliest of the scanned settings of an effect beside no other cause, refined if the
-    effect is likelier than none, with the standard deviations of the refined numbers."""
+    effect is likelier than none, with the standard deviations of the refined numbers. With `apart`,
+    joints may have numbers of their own."""
     plain = scene.model.with_effect(name)
     each = yield_columns(scene, plain, settings)
     block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings)
@@ -256,10 +262,16 @@ def choose_setting(
     [ranked] = nothing.rank(block.alone)
     if ranked.log_p <= nothing.log_p:
         return settings[ranked.best.setting], {}
-    scan = Scan(scene, nothing, ranked.best)
-    best = scan.refine()
+    if apart:
+        stated = plain.with_settings(name, settings[0])
+        own = list_own_numbers(stated, find_new_parameters(scene.model, stated), settings)
+        block = replace(block, own=own)
+        ranked = nothing.let_joints_differ(nothing.rank(block.alone)[0])
+    scans = (Scan(scene, nothing, one) for one in (ranked.best, *ranked.rivals))
+    peaks = [one.refine() for one in scans]
+    best = max(peaks, key=lambda one: nothing.weigh(one.block.alone).max())
     refined = best.block.settings[best.setting]
-    return refined, scan.compute_sigma(refined)
+    return refined, Scan(scene, nothing, best).compute_sigma(refined)
 
 
 def weigh_settings(scene: Scene, beside: Evidence, found: Choice) -> list[WeighedSetting]:

@@ -180,7 +180,7 @@ def find_addition(
     def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
         scene, added = see(base), list[Candidate]()
         for name, settings in asked:
-            one = candidate(scene, name)  # with the settings that fit the residuals best
+            one = candidate(scene, name, apart=True)  # with the settings that fit best
             added.append(replace(one, settings=settings or one.settings))
         result = with_given_model_of(result or fit_with(added, base), base)
         return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))

@@ -93,8 +93,10 @@ def candidate(
     name: str,
     scored: Iterable[Candidate] = (),
     known: WeighedSetting | None = None,
+    apart: bool = False,
 ) -> Candidate:
-    """The score of one effect, with a `known` setting, or the best where it has any to scan.
+    """The score of one effect, with a `known` setting, or the best where it has any to scan; with
+    `apart`, joints may have numbers of their own.
 
     An effect that has special cases among those `scored` is not scored if one of them explains
     nothing, and has no score unless it explains significantly more than each of them: simpler
@@ -134,8 +136,10 @@ def candidate(
         return Candidate(name, effect, reason=reason)
     if known:
         setting, sigma = known.values, known.sigma
+    elif several:
+        setting, sigma = choose_setting(scene, name, settings, apart)
     else:
-        setting, sigma = choose_setting(scene, name, settings) if several else (settings[0], {})
+        setting, sigma = settings[0], {}
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))
     reason = _explain_invisible(highest, len(settings))
     found = Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)

@@ -237,7 +237,8 @@ class Model:
         Raises
         ------
         ModelError
-            If the effect is unknown, does not apply to the mechanism, or is in the model already.
+            If the effect is unknown, does not apply to the mechanism, or is in the model already,
+            or if the settings state the constant of a joint without that of the others.
         """
         if any(effect.name == name for effect in self.effects):
             raise ModelError(f"the model already has the effect '{name}'")
@@ -248,7 +249,14 @@ class Model:
         if reason:
             raise ModelError(f"effect {name} does not apply to {self.mechanism.name}: {reason}")
         more = self.widen() if effect.widens else self.with_effects((*self.effects, effect))
-        return more.with_settings(name, settings or {})
+        common, given = effect.each, settings or {}
+        own = [key for key in given if common and key.endswith(f".{common}")]
+        if own and common not in given and f"{name}.{common}" in more.table.names:
+            raise ModelError(
+                f"{name}: {own[0]} is stated without {common}, which the other joints have: state "
+                f"both ({name}:{common}=...,{own[0]}=...), or none, to search for them"
+            )
+        return more.with_settings(name, given)
 
     def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
         """Return the model with some parameters of an effect fixed at the given values.

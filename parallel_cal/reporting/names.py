@@ -7,6 +7,7 @@ NumPy nor CasADi, so that the page can use it.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 TITLES = {
     "acceleration_lag": "lag with the acceleration",
@@ -69,7 +70,9 @@ def name_step(step: str) -> str:
     return name_effects(_SETTINGS.sub("", step))
 
 
-def name_setting(key: str) -> str:
-    """Name a number of an effect for people: `ratio`, and `ratio of joint2` for `joint2.ratio`."""
+def name_setting(key: str, beside: Collection[str] = ()) -> str:
+    """Name a number of an effect for people: `ratio of joint2` for `joint2.ratio`, `ratio` for what
+    all joints have, and `ratio of the others` `beside` such a number."""
     joint, _, name = key.rpartition(".")
-    return f"{name} of {joint}" if joint else name
+    others = any(one.endswith(f".{key}") for one in beside)
+    return f"{name} of {joint}" if joint else f"{name} of the others" if others else name

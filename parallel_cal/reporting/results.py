@@ -280,7 +280,7 @@ def _describe_settings(tested: Sequence[Candidate]) -> Iterator[str]:
     found beside each other, and those of each other candidate alone."""
     for one in tested:
         for key, sigma in one.sigma.items():
-            number = name_setting(key)
+            number = name_setting(key, one.settings)
             yield f"{one.name}: {number} {one.settings[key]:.4g} +- {sigma:.2g} fits best"
 
 

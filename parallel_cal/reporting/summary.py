@@ -199,7 +199,7 @@ def describe_effect(model: Model, effect: str, sigmas: Mapping[str, float] | Non
     2.1 arcmin, others up to 0.9)`, `gear_transmission_error (ratio 17.24 +- 0.20)`. `sigmas` are
     those of its settings, by the names that these have in a diagnosis."""
     sizes, settings = _describe_largest_joint(model, effect), list_settings(model, effect)
-    known = {name_setting(key): sigma for key, sigma in (sigmas or {}).items()}
+    known = {name_setting(key, sigmas or {}): sigma for key, sigma in (sigmas or {}).items()}
     shown = [sizes] if sizes else []
     for key, (values, unit) in settings.items():
         name, factor = value_unit(unit)
@@ -218,12 +218,16 @@ def list_settings(model: Model, effect: str) -> dict[str, tuple[set[float], str]
         return {}
     found = dict[str, tuple[set[float], str]]()
     chosen, has_common = model.settings_of(effect), f"{effect}.{kind.each}" in model.table.names
-    for p, value, is_one in zip(model.table, model.values.tolist(), chosen, strict=True):
-        short = p.name.removeprefix(f"{effect}.")
-        is_own = has_common and short.endswith(f".{kind.each}")
-        if is_one and (value or not is_own):
-            name = name_setting(short) if is_own else short.rpartition(".")[2]
-            found.setdefault(name, (set(), p.unit))[0].add(value)
+    each = zip(model.table, model.values.tolist(), chosen, strict=True)
+    stated = {p.name.removeprefix(f"{effect}."): (p, value) for p, value, is_one in each if is_one}
+    own = [key for key in stated if has_common and key.endswith(f".{kind.each}")]
+    differ = [key for key in own if stated[key][1]]
+    for key, (p, value) in stated.items():
+        if (key in own and key not in differ) or (key == kind.each and own and own == differ):
+            continue  # a joint that has the common number, or a common number that no joint has
+        is_one = key in own or key == kind.each
+        name = name_setting(key, differ) if is_one else key.rpartition(".")[2]
+        found.setdefault(name, (set(), p.unit))[0].add(value)
     return found
 
 

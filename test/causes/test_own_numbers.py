@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import parallel_cal as pc
+from parallel_cal.base.errors import ModelError
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.reporting.summary import describe_effect
+from parallel_cal.session.steps import add
 
 
 def with_ripples(ratios, seed, poses=120, size=0.6e-3):
@@ -90,5 +92,27 @@ def test_each_joint_that_differs_is_named_with_its_number():
     model = new_model("delta24").with_effect(
         "gear_transmission_error", {"ratio": 9.0, "joint2.ratio": 15.0}
     )
-    words = describe_effect(model, "gear_transmission_error", {"joint2.ratio": 0.11})
-    assert words.endswith("ratio 9; ratio of joint2 15.00 +- 0.11)")
+    sigmas = {"ratio": 0.2, "joint2.ratio": 0.11}
+    words = describe_effect(model, "gear_transmission_error", sigmas)
+    assert words.endswith("ratio of the others 9.00 +- 0.20; ratio of joint2 15.00 +- 0.11)")
+    each = {"ratio": 9.0, **{f"joint{k}.ratio": 10.0 + k for k in (1, 2, 3)}}
+    words = describe_effect(
+        new_model("delta24").with_effect("gear_transmission_error", each),
+        "gear_transmission_error",
+    )
+    assert words.endswith("; ratio of joint1 11; ratio of joint2 12; ratio of joint3 13)")
+
+
+def test_an_addition_without_numbers_searches_for_those_of_each_joint():
+    """It took one ratio for all, and left no way on: the effect was in the model then."""
+    model, data = with_ripples((9.0, 15.0, 15.0), 2)
+    step = add(model, "gear_transmission_error", data, joint_sigma=1.2e-4)
+    found = step.model.table.mapping(step.model.values)
+    own = [found[f"gear_transmission_error.joint{k}.ratio"] for k in (1, 2, 3)]
+    each = [one or found["gear_transmission_error.ratio"] for one in own]
+    assert each == pytest.approx((9.0, 15.0, 15.0), abs=0.3)
+
+
+def test_a_number_of_one_joint_needs_that_of_the_others():
+    with pytest.raises(ModelError, match=r"joint1\.ratio is stated without ratio"):
+        new_model("delta24").with_effect("gear_transmission_error", {"joint1.ratio": 11.0})
