@@ -154,12 +154,19 @@ def list_effects_to_test(
 
 
 def compute_effect_columns(
-    scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray, share: bool = False
+    scene: Scene,
+    plain: Model,
+    settings: Mapping[str, float],
+    a: np.ndarray,
+    share: bool = False,
+    which: np.ndarray | slice = slice(None),
 ) -> np.ndarray:
-    """Columns of a model's last effect with these settings, under the recorded conditions a (N,
-    n_conditions); see `columns` for `share`."""
+    """Columns of a model's last effect with these settings, of all its new parameters or of
+    `which`, under the recorded conditions a (N, n_conditions); see `columns` for `share`."""
     extended = plain.with_settings(plain.effects[-1].name, settings)
-    return columns(extended, scene, find_new_parameters(scene.model, extended), a, share)
+    some = np.zeros(len(extended.table), dtype=bool)
+    some[np.flatnonzero(find_new_parameters(scene.model, extended))[which]] = True
+    return columns(extended, scene, some, a, share)
 
 
 def yield_columns(

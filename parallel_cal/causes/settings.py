@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.causes.effects import (
     MIN_SCANNED,
+    compute_effect_columns,
     find_new_parameters,
     list_own_numbers,
     yield_columns,
@@ -20,7 +21,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
 from parallel_cal.posterior.evidence import UNKNOWN, Choice, Evidence
-from parallel_cal.posterior.scene import Scene, columns
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import NO_RIVAL, WeighedSetting
 
 # Shares of the distance of two scanned values: to which the best value between them is sought, and
@@ -77,10 +78,7 @@ class Scan:
     ) -> np.ndarray:
         """The columns of these parameters of one setting that the geometry cannot imitate."""
         plain, a = self._plain
-        stated = plain.with_settings(self.block.name, values)
-        some = np.zeros(len(stated.table), dtype=bool)
-        some[np.flatnonzero(find_new_parameters(self.scene.model, stated))[which]] = True
-        made = columns(stated, self.scene, some, a)
+        made = compute_effect_columns(self.scene, plain, values, a, which=which)
         return self.scene.project_off_geometry(made).astype(np.float32)
 
     def _weigh_by(
@@ -255,20 +253,18 @@ def choose_setting(
     joints may have numbers of their own."""
     plain = scene.model.with_effect(name)
     each = yield_columns(scene, plain, settings)
-    block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings)
+    stated = plain.with_settings(name, settings[0])
+    new = find_new_parameters(scene.model, stated)
+    own = list_own_numbers(stated, new, settings) if apart else None
+    block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings, own=own)
     if block is None:  # the geometry imitates it
         return settings[0], {}
     nothing = Evidence(float(scene.residual @ scene.residual), scene.dof, UNKNOWN)
     [ranked] = nothing.rank(block.alone)
     if ranked.log_p <= nothing.log_p:
         return settings[ranked.best.setting], {}
-    if apart:
-        stated = plain.with_settings(name, settings[0])
-        own = list_own_numbers(stated, find_new_parameters(scene.model, stated), settings)
-        block = replace(block, own=own)
-        ranked = nothing.let_joints_differ(nothing.rank(block.alone)[0])
-    scans = (Scan(scene, nothing, one) for one in (ranked.best, *ranked.rivals))
-    peaks = [one.refine() for one in scans]
+    ranked = nothing.let_joints_differ(ranked)
+    peaks = [Scan(scene, nothing, one).refine() for one in (ranked.best, *ranked.rivals)]
     best = max(peaks, key=lambda one: nothing.weigh(one.block.alone).max())
     refined = best.block.settings[best.setting]
     return refined, Scan(scene, nothing, best).compute_sigma(refined)
@@ -320,13 +316,13 @@ def weigh_settings(scene: Scene, beside: Evidence, found: Choice) -> list[Weighe
 def _find_apart(scene: Scene, beside: Evidence, found: Choice) -> Choice | None:
     """The likeliest choice of an effect with numbers that joints have of their own, refined: what
     was found, if joints differ in it; None if one number for all is likelier."""
-    block = found.block.scanned or found.block
-    if len(found.block.settings[found.setting]) > len(block.settings[0]):
+    scan = Scan(scene, beside, found)
+    if scan.list_own(found.block.settings[found.setting]):
         return found
-    ranked = beside.let_joints_differ(beside.rank(block.alone)[0])
+    ranked = beside.rank_one(scan.scanned)
     scans = [Scan(scene, beside, one) for one in (ranked.best, *ranked.rivals)]
-    refined = [one.refine() for one in scans if one.best.block.scanned is not None]
-    apart = [one for one in refined if len(one.block.settings[0]) > len(block.settings[0])]
+    refined = [one.refine() for one in scans if one.block.scanned is not None]
+    apart = [one for one in refined if scan.list_own(one.block.settings[0])]
     return max(apart, key=lambda one: beside.weigh(one.block.alone).max(), default=None)
 
 

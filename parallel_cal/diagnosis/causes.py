@@ -160,8 +160,7 @@ class Causes:
             rest = tuple(one for one in found.chosen if one.block.name != name)
             beside = self.sum.evidence(rest, found.nu)
             for other in others:
-                scanned = beside.let_joints_differ(beside.rank(blocks[other].alone)[0])
-                best = refine_setting(self.scene, beside, scanned.best)
+                best = refine_setting(self.scene, beside, beside.rank_one(blocks[other]).best)
                 sets.append((found.rivals[name][other], (*rest, best)))
         likeliest = self.sum.evidence(found.chosen, found.nu)
         return Doubt(self.scene, self.variance * likeliest.noise_variance, tuple(sets))

@@ -51,7 +51,8 @@ def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondit
     mostly reached from below where their readings are large, is judged by what errors of the
     readings alone leave, if the residuals depend on these.
     """
-    if scene.dataset.mode == "continuous":
+    recorded = [] if scene.dataset.mode == "continuous" else list(_iterate_features(scene))
+    if not recorded:
         return None
     joints = scene.measured_jacobian[:, :, : len(scene.model.joints)]
     q = scene.x.T[: joints.shape[2]]
@@ -59,14 +60,12 @@ def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondit
     own = [smooth(one, OWN_LENGTH, OWN_CENTRES)[:, None] for one in q]
     each = [_make_errors(joints[:, :, [i]], one) for i, one in enumerate(own)]
     readings, log_p = score(scene, np.hstack(each)), dict[str, float]()
-    for name, features in _iterate_features(scene):
+    for name, features in recorded:
         found = score(scene, _make_errors(joints, features))
         if readings.p_value < CERTAINTY_LEVEL:
             found = score_beside(scene, found, readings)
         inflation = shape.inflation if name.split(".")[0] in SLOW_CONDITIONS else 1.0
         log_p[name] = deflate(found, scene.dof, inflation)
-    if not log_p:
-        return None
     name = min(log_p, key=lambda one: log_p[one])
     p_value = min(1.0, float(np.exp(log_p[name])) * len(log_p))
     return RemainingCondition(name, p_value) if p_value < CERTAINTY_LEVEL else None

@@ -31,11 +31,11 @@ class GearTransmissionError(Effect):
     """q_ideal = q + sum over k = 1, 2 of sin_k * sin(k ratio q) + cos_k * cos(k ratio q) (rad).
 
     All joints have one `ratio`, except those with a `joint.ratio` of their own that is not 0. It is
-    known from the gear's catalogue, or `scan` finds it. The best
-    ratio of the scan is at most half a step from the true one and shows at least 90 % of the first
-    harmonic. From there, a fit can refine the ratio together with the amplitudes (`--free`). If the
-    readings are angles of motors that turn spools, the ratio is the angle of the spool per angle of
-    the motor: a spool that is out of round errs once per turn of its own.
+    known from the gear's catalogue, or `scan` finds it. The best ratio of the scan is at most half
+    a step from the true one and shows at least 90 % of the first harmonic. From there, a fit can
+    refine the ratio together with the amplitudes (`--free`). If the readings are angles of motors
+    that turn spools, the ratio is the angle of the spool per angle of the motor: a spool that is
+    out of round errs once per turn of its own.
 
     The interpolation error of an encoder and the cogging of a motor have the same form, with the
     number of periods per turn of the joint as `ratio`.
@@ -68,11 +68,9 @@ class GearTransmissionError(Effect):
         return [*make_own_constants(find_revolute_joints(mechanism), common), *amplitudes]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        def ripple(joint: str, q: Any, k: int) -> Any:
-            return wave(e[joint], str(k), k * constant_of(e, joint, "ratio") * q)
-
         def error(joint: str, q: Any) -> Any:
-            return ripple(joint, q, 1) + ripple(joint, q, 2)
+            own, turned = e[joint], constant_of(e, joint, "ratio") * q
+            return wave(own, "1", turned) + wave(own, "2", 2 * turned)
 
         return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
 

@@ -372,7 +372,7 @@ class Kinematics:
             further, went_far = problem.refine(x[open_], rows[open_]), pivot[open_] <= 0.0
             for array, new in zip(result, further, strict=True):
                 array[open_] = new.reshape(array[open_].shape)
-            pivot[open_[went_far]] *= -np.sign(pivot[open_[went_far]])
+            pivot[open_[went_far]] = -np.abs(pivot[open_[went_far]])
         return result
 
     # ------------------------------------------------------------------ uncertainty

@@ -60,7 +60,7 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     """
     s = structure
     columns, given, start = split(s, problem)
-    J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
+    J = s.differentiate_closure(columns)
     order, home_sign = row_order(s, J), find_home_sign(s, J, path_home(s.ideal, problem))
     motor_sign, motor_side = _side_of_motors(s, problem)
     (phi, J, rest, motor_side), constants, symbols = _extract_constant_parts(
@@ -71,9 +71,8 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     closure, residual, motors = (
         dense("rows", [s.configuration, symbols], [part]) for part in (phi, rest, motor_side)
     )
-    # The determinant of the ordered rows is that of J times the sign of the permutation.
-    side = home_sign * np.linalg.det(np.eye(len(order))[order])
-    step = _step_function(s, closure, J, symbols, columns, order, float(side.round()))
+    side = home_sign * _sign_of(order)
+    step = _step_function(s, closure, J, symbols, columns, order, side)
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
     iterate = Iteration(
@@ -113,13 +112,18 @@ def _side_of_motors(s: Structure, problem: str) -> tuple[float, Any]:
     if problem == "direct" or not begins_at_home(s.ideal, problem):
         return 0.0, ca.SX(1)
     columns = unknown_columns(s, "direct")
-    J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
+    J = s.differentiate_closure(columns)
     sign = find_home_sign(s, J, np.array(s.mechanism.home.configuration))
     if not sign:
         return 0.0, ca.SX(1)
     order = row_order(s, J)
-    permutation = np.linalg.det(np.eye(len(order))[order]).round()
-    return sign, sign * permutation * Elimination(J, order).determinant
+    return sign, sign * _sign_of(order) * Elimination(J, order).determinant
+
+
+def _sign_of(order: list[int]) -> float:
+    """Return the sign of a permutation: the determinant of ordered rows is that of the rows times
+    this sign."""
+    return float(np.linalg.det(np.eye(len(order))[order]).round())
 
 
 def _extract_constant_parts(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:

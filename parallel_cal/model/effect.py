@@ -294,6 +294,11 @@ class Effect(ABC):
         """Name in model files and commands: that of its file, or its Python path."""
         return type(self).__module__.removeprefix("parallel_cal.effects.")
 
+    def is_of_one_joint(self, key: str) -> bool:
+        """Return whether a parameter, by its short name, is the constant that a joint has of its
+        own."""
+        return bool(self.each) and key.endswith(f".{self.each}")
+
     def fixed_patterns(self) -> list[str]:
         """Return the patterns of its fixed parameters under their full names."""
         return [f"{self.name}.{pattern}" for pattern in self.fixed]

@@ -250,7 +250,7 @@ class Model:
             raise ModelError(f"effect {name} does not apply to {self.mechanism.name}: {reason}")
         more = self.widen() if effect.widens else self.with_effects((*self.effects, effect))
         common, given = effect.each, settings or {}
-        own = [key for key in given if common and key.endswith(f".{common}")]
+        own = [key for key in given if effect.is_of_one_joint(key)]
         if own and common not in given and f"{name}.{common}" in more.table.names:
             raise ModelError(
                 f"{name}: {own[0]} is stated without {common}, which the other joints have: state "

@@ -205,6 +205,11 @@ class Structure:
         by_q, by_u = (ca.jacobian(self.phi, part) for part in (self.q, self.u))
         return ca.horzcat(by_q, self.jacobian_pose, by_u)
 
+    def differentiate_closure(self, columns: Sequence[int]) -> Any:
+        """d phi/d some of (q, r, w, u), each divided by its scale."""
+        scale = ca.repmat(ca.DM(self.scale[columns]).T, self.phi.shape[0])
+        return self.jacobian_configuration[:, columns] / scale
+
     def _slopes(self, rows: Any) -> tuple[Any, Any]:
         """d rows / d (q, r, w, u) and d rows / dv in one pass: they share most operations."""
         J, n = ca.jacobian(rows, ca.vertcat(self.configuration, self.v)), self.q.numel() + 3

@@ -114,7 +114,7 @@ class Block(Cause):
     def of_projected(
         cls,
         residual: np.ndarray,
-        own: Sequence[np.ndarray],
+        columns: Sequence[np.ndarray],
         usual: Sequence[np.ndarray],
         name: str,
         kind: str,
@@ -124,11 +124,11 @@ class Block(Cause):
     ) -> Block | None:
         """Make a block of columns without what the geometry imitates."""
         products = list[tuple[np.ndarray, np.ndarray]]()
-        for one in own:
+        for one in columns:
             rounded = one.astype(float)
             products.append((rounded.T @ rounded, residual @ rounded))
-        roots = tuple(usual) or tuple(np.eye(one.shape[1]) for one in own)
-        each = [k % len(own) for k in range(len(roots))]
+        roots = tuple(usual) or tuple(np.eye(one.shape[1]) for one in columns)
+        each = [k % len(columns) for k in range(len(roots))]
         tall, wide = (max(one.shape[axis] for one in roots) for axis in (0, 1))
         squares, onto = np.zeros((2, len(roots), wide))
         turns = np.zeros((len(roots), tall, wide))
@@ -145,7 +145,7 @@ class Block(Cause):
         given = tuple(settings) or ({},) * len(roots)
         squares = np.maximum(squares[:, counts], 0.0)
         tried, turns, onto = tried or len(roots), turns[:, :, counts], onto[:, counts]
-        shared = tuple(own[k] for k in each)
+        shared = tuple(columns[k] for k in each)
         numbers = given, tried, shared, turns, squares, onto, roots
         return cls(name, kind, log_prior, *numbers, residual)
 
@@ -160,7 +160,8 @@ class Block(Cause):
             given = joint, self.kind, 0.0, self.settings, self.tried
             part = self.of_projected(self.residual, sliced, roots, *given)
             if part is not None:
-                found.append(replace(part, whole=(self, own)))
+                # In place of copies: the columns of all joints may be large.
+                found.append(replace(part, columns=self.columns, whole=(self, own)))
         return Stack.of_alike(found)
 
     def combine(self, common: int, apart: Mapping[str, int]) -> Block | None:
@@ -189,7 +190,8 @@ class Block(Cause):
     def at(self, setting: int) -> np.ndarray:
         """The orthogonal columns (n, k) of one setting, made once."""
         if setting not in self._turned:
-            B = self.columns[setting].astype(float)
+            B = self.columns[setting]
+            B = (B if self.whole is None else B[:, self.whole[1]]).astype(float)
             self._turned[setting] = B @ self.turns[setting, : B.shape[1]]
         return self._turned[setting]
 

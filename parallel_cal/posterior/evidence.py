@@ -177,6 +177,11 @@ class Evidence:
             found.append(Ranked(total, Choice(block, int(setting), int(size))))
         return found
 
+    def rank_one(self, block: Block) -> Ranked:
+        """One more cause, whose joints may have numbers of their own."""
+        [common] = self.rank(block.alone)
+        return self.let_joints_differ(common)
+
     def let_joints_differ(self, common: Ranked, least: float = -np.inf) -> Ranked:
         """A cause whose joints may have numbers of their own, unless it cannot have the log
         posterior `least`.

@@ -178,8 +178,7 @@ class Sum:
             before = chosen
             for k, one in enumerate(chosen):
                 rest = self.evidence(chosen[:k] + chosen[k + 1 :], self.nu)
-                [ranked] = rest.rank(one.block.alone)
-                chosen = (*chosen[:k], rest.let_joints_differ(ranked).best, *chosen[k + 1 :])
+                chosen = (*chosen[:k], rest.rank_one(one.block).best, *chosen[k + 1 :])
             if chosen == before:
                 break
         return chosen

@@ -220,7 +220,7 @@ def list_settings(model: Model, effect: str) -> dict[str, tuple[set[float], str]
     chosen, has_common = model.settings_of(effect), f"{effect}.{kind.each}" in model.table.names
     each = zip(model.table, model.values.tolist(), chosen, strict=True)
     stated = {p.name.removeprefix(f"{effect}."): (p, value) for p, value, is_one in each if is_one}
-    own = [key for key in stated if has_common and key.endswith(f".{kind.each}")]
+    own = [key for key in stated if has_common and kind.is_of_one_joint(key)]
     differ = [key for key in own if stated[key][1]]
     for key, (p, value) in stated.items():
         if (key in own and key not in differ) or (key == kind.each and own and own == differ):

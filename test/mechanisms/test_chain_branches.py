@@ -128,10 +128,8 @@ def four_bar(crank=0.0):
         revolute("rocker", "base", "rocker", origin=[0.3, 0, 0], home=angle),
     ]
     loops = [rod("coupler", ("crank", [0.1, 0, 0]), ("rocker", [0.2, 0, 0]), length=0.3)]
-    return {
-        "base": "base", "platform": "rocker", "target": [0.1, 0, 0],
-        "joints": joints, "loops": loops, "controls": ["rz"],
-    }  # fmt: skip
+    ends = {"base": "base", "platform": "rocker", "target": [0.1, 0, 0]}
+    return {**ends, "joints": joints, "loops": loops, "controls": ["rz"]}
 
 
 @pytest.mark.parametrize("crank", [0.0, 1e-5, -1e-5, 1e-3, -1e-3, 0.2])

@@ -71,7 +71,7 @@ def newton_steps(
     columns, _, begin = split(s, problem)
     # The given rows contain the given coordinates, and home for all others (`rows`).
     x = begin if start == "mechanism" else s.configuration
-    J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
+    J = s.differentiate_closure(columns)
     if J.shape[0] != J.shape[1]:
         raise SolveError(f"{s.mechanism.name} has more closure rows than unknowns; use newton")
     order, inputs = row_order(s, J), [s.configuration, s.a, s.v]
