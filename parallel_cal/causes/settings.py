@@ -20,13 +20,66 @@ from parallel_cal.identification.observations import conditions
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
-from parallel_cal.posterior.evidence import UNKNOWN, Choice, Evidence
+from parallel_cal.posterior.evidence import SIZES, UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import NO_RIVAL, WeighedSetting
 
-# Shares of the distance of two scanned values: to which the best value between them is sought, and
-# the last digit that it keeps.
-REFINED_TO, KEPT_DIGITS = 1e-3, 1e-4
+MAX_STEPS = 8
+SMALL_GAIN = 1e-3  # of the logarithm: a number is sought no further for less
+# Shares of the distance of two scanned values: over which a derivative is taken, and the last digit
+# that the best value between them keeps.
+DERIVED_OVER, KEPT_DIGITS = 1e-4, 1e-4
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """An effect with one setting as a `block` beside other causes, which are taken out, and its
+    `columns` (n, p) with them."""
+
+    columns: np.ndarray
+    block: Block
+    beside: Evidence
+
+    @cached_property
+    def log_p_by_size(self) -> np.ndarray:
+        """The log posterior (sizes,), less that of the other causes."""
+        return self.beside.weigh(self.block.alone)[0]
+
+    @property
+    def log_p(self) -> float:
+        """The log posterior at the likeliest size, less that of the other causes."""
+        return float(self.log_p_by_size.max())
+
+    @cached_property
+    def chosen(self) -> Evidence:
+        """The evidence at the likeliest size."""
+        likeliest = int(np.argmax(self.log_p_by_size))
+        return replace(self.beside, chosen=(Choice(self.block, 0, likeliest),))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """The covariance (p, p) of the parameters of the effect after the measurement, in
+        tolerances, if the variance of the noise is 1."""
+        T, squares = self.block.turns[0], self.block.squares[0]
+        size = SIZES[self.chosen.chosen[0].size]
+        return np.asarray((T * (size**2 / (1 + size**2 * squares))) @ T.T)
+
+    @cached_property
+    def amplitudes(self) -> np.ndarray:
+        """The parameters (p,) of the effect that are likeliest, in tolerances."""
+        return np.asarray(self.covariance @ (self.block.columns[0].T @ self.block.residual))
+
+    def step(
+        self, V: np.ndarray, volume: np.ndarray, widths: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """The step of numbers to the peak beside the amplitudes, if a number changes the residual
+        by a column of V (n, k) and half the logarithm of the determinant by `volume` (k,), and is
+        known to its `widths` (k,); and by how much the log posterior grows."""
+        noise, left = self.chosen.noise_variance, self.chosen.take_out(V)
+        N = left.T @ left + noise * np.diag((2 / widths) ** 2)
+        g = left.T @ self.chosen.take_out(self.block.residual) - noise * volume
+        step = np.linalg.solve(N, g)
+        return step, float(g @ step) / (2 * noise)
 
 
 @dataclass(frozen=True)
@@ -50,8 +103,8 @@ class Scan:
 
     def at(self, values: Mapping[str, float]) -> Block:
         """The effect with one setting, and the usual sizes of the best."""
-        price = self.scanned.price(len(self.list_own(values)))
-        more = self._make(self._columns(values), values, *price)
+        columns = self._columns(values).astype(np.float32)
+        more = self._make(self.scene.residual, columns, values)
         return self.block if more is None else replace(more, scanned=self.scanned)
 
     @property
@@ -61,17 +114,15 @@ class Scan:
 
     def _make(
         self,
+        residual: np.ndarray,
         columns: np.ndarray,
         values: Mapping[str, float],
-        log_prior: float,
-        tried: int,
-        which: np.ndarray | slice = slice(None),
     ) -> Block | None:
-        """A block of the columns of these parameters."""
-        root = self.block.usual[self.best.setting][which]
-        root = root[:, root.any(axis=0)]
+        """A block of the columns of one setting."""
+        root = self.block.usual[self.best.setting]
+        log_prior, tried = self.scanned.price(len(self.list_own(values)))
         given = self.block.name, EFFECT, log_prior, [values], tried
-        return Block.of_projected(self.scene.residual, [columns], [root], *given)
+        return Block.of_projected(residual, [columns], [root], *given)
 
     def _columns(
         self, values: Mapping[str, float], which: np.ndarray | slice = slice(None)
@@ -79,34 +130,25 @@ class Scan:
         """The columns of these parameters of one setting that the geometry cannot imitate."""
         plain, a = self._plain
         made = compute_effect_columns(self.scene, plain, values, a, which=which)
-        return self.scene.project_off_geometry(made).astype(np.float32)
+        return self.scene.project_off_geometry(made)
 
-    def _weigh_by(
-        self, key: str, setting: Mapping[str, float]
-    ) -> Callable[[Mapping[str, float]], float]:
-        """What weighs settings that differ from one in a number: if only some joints have it, these
-        beside the others, which is faster."""
-        own, apart = self.scanned.own, self.list_own(setting)
-        if own is None or not apart:
-            return self.weigh
-        has = [j for j in own.columns if f"{j}.{own.name}" not in apart]
-        has = has if key == own.name else [key.removesuffix(f".{own.name}")]
-        mine = np.concatenate([own.columns[joint] for joint in has])
-        others = np.setdiff1d(np.concatenate([*own.columns.values()]), mine)
-        rest = self._make(self._columns(setting, others), setting, 0.0, 1, others)
-        if rest is None:
-            return self.weigh
-        beside = replace(self.beside, chosen=(*self.beside.chosen, Choice(rest, 0, self.best.size)))
+    @cached_property
+    def _outside(self) -> tuple[np.ndarray, Evidence]:
+        """The residual without the other causes, and the evidence of one more beside them."""
+        return self.beside.take_out(self.scene.residual), self.beside.outside
 
-        def weigh(values: Mapping[str, float]) -> float:
-            part = self._make(self._columns(values, mine), values, 0.0, 1, mine)
-            return beside.log_p if part is None else float(beside.weigh(part.alone).max())
-
-        return weigh
+    def fit(self, values: Mapping[str, float]) -> Fitted | None:
+        """The effect with one setting beside the other causes; None if these imitate it."""
+        residual, alone = self._outside
+        columns = self._columns(values)
+        block = self._make(residual, self.beside.take_out(columns), values)
+        return None if block is None else Fitted(columns, block, alone)
 
     def weigh(self, values: Mapping[str, float]) -> float:
-        """The log posterior of the effect with one setting, at its likeliest size."""
-        return float(self.beside.weigh(self.at(values).alone).max())
+        """The log posterior of the effect with one setting, at its likeliest size, less that of the
+        other causes."""
+        fitted = self.fit(values)
+        return self._outside[1].log_p if fitted is None else fitted.log_p
 
     def neighbours(self, setting: Mapping[str, float], key: str) -> list[float]:
         """The scanned values of one number, with all others as the setting has them, in order;
@@ -127,26 +169,66 @@ class Scan:
         """The numbers of a setting that joints have of their own."""
         return [key for key in setting if key != self.number_of(key)]
 
-    def find_best(
-        self, key: str, scanned: Sequence[float], start: Mapping[str, float]
+    def find_peak(
+        self, start: Mapping[str, float], keys: Sequence[str], least: float = -np.inf
     ) -> tuple[float, dict[str, float]]:
-        """The log posterior at the best value of one number between the scanned ones on both sides
-        of its start, and the setting with it."""
-        from scipy.optimize import minimize_scalar
+        """The log posterior at the likeliest values of some numbers, each between the scanned ones
+        on both sides of its start, and the setting with them; values that are not likely to reach
+        the log posterior `least` are not sought further.
 
-        low, high = find_bracket(scanned, start[key])
-        weigh = self._weigh_by(key, start)
-        optimum = minimize_scalar(
-            lambda value: -weigh({**start, key: value}),
-            bounds=(low, high),
-            method="bounded",
-            options={"xatol": REFINED_TO * (high - low)},
-        )
-        # Further digits are not known, and a person copies the number.
-        decimals = -int(np.floor(np.log10(KEPT_DIGITS * (high - low))))
-        found = {**start, key: min(max(round(float(optimum.x), decimals), low), high)}
-        after, before = weigh(found), weigh(start)
-        return (after, found) if after > before else (before, dict(start))
+        The amplitudes are eliminated (variable projection: Golub & Pereyra, Inverse Problems 19,
+        2003): a step of the numbers is that of Gauss and Newton beside all amplitudes.
+        """
+        brackets = [find_bracket(self.neighbours(start, key), start[key]) for key in keys]
+        low, high = np.array(brackets).reshape(-1, 2).T
+        first = now = self.fit(start)
+        if first is None or now is None or not keys:
+            return self.weigh(start), dict(start)
+        setting = dict(start)
+        for _ in range(MAX_STEPS):
+            step, gain = self._step(now, setting, dict(zip(keys, high - low, strict=True)))
+            if gain < SMALL_GAIN or now.log_p + gain < least:
+                break
+            at, more = np.array([setting[key] for key in keys]), None
+            for shorter in (1.0, 0.5, 0.25, 0.125):
+                tried = np.clip(at + shorter * step, low, high)
+                reached = {**setting, **dict(zip(keys, tried.tolist(), strict=True))}
+                fitted = self.fit(reached)
+                if fitted is not None and fitted.log_p > now.log_p:
+                    more = fitted, reached
+                    break
+            if more is None:
+                break
+            now, setting = more
+        found = dict(setting)
+        for key, (least, most) in zip(keys, brackets, strict=True):
+            # Further digits are not known, and a person copies the number.
+            decimals = -int(np.floor(np.log10(KEPT_DIGITS * (most - least))))
+            found[key] = min(max(round(setting[key], decimals), least), most)
+        after = first.log_p if found == start else self.weigh(found)
+        return (after, found) if after > first.log_p else (first.log_p, dict(start))
+
+    def _step(
+        self, now: Fitted, setting: Mapping[str, float], widths: Mapping[str, float]
+    ) -> tuple[np.ndarray, float]:
+        """The step of some numbers to the peak, and how much the log posterior gains by it, as far
+        as the residual is linear in them; `widths` are those within which they are sought."""
+        own = self.scanned.own
+        V, volume = np.empty((len(now.columns), len(widths))), np.empty(len(widths))
+        by_column = self.beside.take_out(now.block.columns[0] @ now.covariance)
+        for i, (key, width) in enumerate(widths.items()):
+            mine: np.ndarray | slice = slice(None)
+            if own is not None and key == own.name:
+                apart = self.list_own(setting)
+                has = [own.columns[j] for j in own.columns if f"{j}.{own.name}" not in apart]
+                mine = np.concatenate(has)
+            elif own is not None and key != self.number_of(key):
+                mine = own.columns[key.removesuffix(f".{own.name}")]
+            step = DERIVED_OVER * width
+            more = self._columns({**setting, key: setting[key] + step}, mine)
+            change = (more - now.columns[:, mine]) / step
+            V[:, i], volume[i] = change @ now.amplitudes[mine], np.sum(by_column[:, mine] * change)
+        return now.step(self.beside.take_out(V), volume, np.array([*widths.values()]))
 
     def is_peak_at_multiple(self, setting: Mapping[str, float], other: Mapping[str, float]) -> bool:
         """Whether another setting is the peak that `refine` finds at a multiple of a setting."""
@@ -174,18 +256,24 @@ class Scan:
         return {key: scanned for key, scanned in near.items() if scanned}
 
     def refine(self) -> Choice:
-        """The best choice with its continuous numbers refined between their scanned neighbours,
-        each in turn, where the posterior is highest."""
+        """The best choice with its continuous numbers refined between their scanned neighbours, or
+        near multiples of them, where the posterior is highest."""
         scanned_setting = self.block.settings[self.best.setting]
         effect, setting = load_effect(self.block.name), dict(scanned_setting)
-        for key, scanned in self.list_refined(scanned_setting).items():
+        refined = [*self.list_refined(scanned_setting)]
+        reached, near = self.find_peak(setting, refined)
+        setting = near
+        for key in refined:
             number = self.number_of(key)
-            others = effect.multiples({**setting, number: setting[key]})
-            starts = (setting, *({**setting, key: one[number]} for one in others))
-            peaks = [self.find_best(key, scanned, start) for start in starts]
-            most = max(value for value, _ in peaks)
+            multiples = effect.multiples({**setting, number: setting[key]})
+            starts = ({**setting, key: one[number]} for one in multiples)
+            others = [self.find_peak(start, [key], reached - NO_RIVAL) for start in starts]
+            peaks = [(reached, setting), *others]
+            reached = max(value for value, _ in peaks)
             # The last of those that fit as well as the best.
-            setting = [found for value, found in peaks if value > most - EQUAL_EVIDENCE][-1]
+            setting = [found for value, found in peaks if value > reached - EQUAL_EVIDENCE][-1]
+        if setting != near:  # each was far from its peak beside the others as they were
+            _, setting = self.find_peak(setting, refined)
         setting = self._share_numbers(setting)
         if setting == scanned_setting:
             return self.best
@@ -214,15 +302,15 @@ class Scan:
         setting there with its standard deviations."""
         setting = dict(start)
         refined = self.list_refined(self.block.settings[self.best.setting])
-        for key, scanned in refined.items():
-            _, setting = self.find_best(key, scanned, setting)
+        _, setting = self.find_peak(setting, [*refined])
         sigma, widest = self.compute_sigma(setting), {k: np.ptp(v) for k, v in refined.items()}
         # Of the values that were scanned, so many share the evidence of one peak.
         width = sum(
             np.log(sigma.get(key, widest[key]) / np.diff(values).min())
             for key, values in refined.items()
         )
-        height = np.logaddexp.reduce(self.beside.weigh(self.at(setting).alone), axis=None)
+        fitted = self.fit(setting)
+        height = np.logaddexp.reduce(fitted.log_p_by_size) if fitted else self._outside[1].log_p
         return float(height + width), setting, sigma
 
     def compute_sigma(self, refined: Mapping[str, float]) -> dict[str, float]:

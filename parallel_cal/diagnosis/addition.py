@@ -36,6 +36,7 @@ from parallel_cal.identification.platform_shift import (
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene
+from parallel_cal.posterior.search import WeighedSetting
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
 
@@ -180,8 +181,8 @@ def find_addition(
     def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
         scene, added = see(base), list[Candidate]()
         for name, settings in asked:
-            one = candidate(scene, name, apart=True)  # with the settings that fit best
-            added.append(replace(one, settings=settings or one.settings))
+            known = WeighedSetting(settings, 1.0, {}) if settings else None
+            added.append(candidate(scene, name, known=known, apart=True))
         result = with_given_model_of(result or fit_with(added, base), base)
         return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))
 

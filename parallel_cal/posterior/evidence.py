@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.posterior.blocks import Block, Stack
+from parallel_cal.posterior.blocks import NEGLIGIBLE, Block, Stack
 
 # How large a cause is, in usual sizes, and how probable that is: a prior with a heavy tail.
 SIZES = np.array([0.3, 1.0, 3.0, 10.0, 30.0])
@@ -110,6 +110,28 @@ class Evidence:
     def _squares(self) -> float:
         """r' S^-1 r."""
         return self.squares - float(self._onto @ self._onto)
+
+    @cached_property
+    def _taken(self) -> tuple[np.ndarray, np.ndarray]:
+        """U (n, k) and w (k,) of S^-1/2 = 1 - U diag(w) U'."""
+        C = np.hstack([SIZES[one.size] * one.block.at(one.setting) for one in self.chosen])
+        squares, V = np.linalg.eigh(C.T @ C)
+        counts = squares > NEGLIGIBLE
+        U = C @ (V[:, counts] / np.sqrt(squares[counts]))
+        return U, 1 - 1 / np.sqrt(1 + squares[counts])
+
+    def take_out(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (n, k) or (n,) times S^-1/2: without what the chosen causes explain."""
+        if not self.chosen:
+            return columns
+        U, w = self._taken
+        return np.asarray(columns - (U * w) @ (U.T @ columns))
+
+    @property
+    def outside(self) -> Evidence:
+        """The evidence of one more cause beside the chosen ones, less that of these, if they were
+        taken out of its columns and of the residual."""
+        return Evidence(self._squares, self.dof, self.nu)
 
     @property
     def noise_variance(self) -> float:

@@ -4,11 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 import parallel_cal as pc
 from parallel_cal.base.errors import ModelError
+from parallel_cal.causes.settings import Scan
+from parallel_cal.diagnosis.addition import see
+from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.posterior.evidence import Choice
 from parallel_cal.reporting.summary import describe_effect
 from parallel_cal.session.steps import add
 
@@ -116,3 +121,46 @@ def test_an_addition_without_numbers_searches_for_those_of_each_joint():
 def test_a_number_of_one_joint_needs_that_of_the_others():
     with pytest.raises(ModelError, match=r"joint1\.ratio is stated without ratio"):
         new_model("delta24").with_effect("gear_transmission_error", {"joint1.ratio": 11.0})
+
+
+@pytest.fixture(scope="module")
+def ripples():
+    """The ripples of three gears, beside encoders that may be eccentric, near their ratios."""
+    model, data = with_ripples((9.0, 15.0, 15.0), 2)
+    causes = Causes.of(
+        see(pc.fit(model, data, hold_out=0, joint_sigma=1.2e-4)),
+        ["gear_transmission_error", "encoder_eccentricity"],
+        kinds=(),
+    )
+    blocks = {one.name: one for one in causes.blocks}
+    beside = causes.sum.evidence((Choice(blocks["encoder_eccentricity"], 0, 1),), causes.nu)
+    block = blocks["gear_transmission_error"]
+    return Scan(causes.scene, beside, beside.rank_one(block).best)
+
+
+def test_a_cause_beside_others_is_weighed_as_if_these_were_taken_out(ripples):
+    """r' S^-1 r and |S| of all causes are those of the one, of what S^-1/2 of the others leaves."""
+    setting = ripples.block.settings[ripples.best.setting]
+    others = ripples.beside.log_p - ripples.beside.outside.log_p
+    beside = ripples.beside.weigh(ripples.at(setting).alone).max()
+    assert ripples.weigh(setting) + others == pytest.approx(beside, abs=1e-3)
+
+
+def test_numbers_are_sought_to_the_peak_that_a_search_without_derivatives_finds(ripples):
+    setting = dict(ripples.block.settings[ripples.best.setting])
+    keys = [*setting]
+    assert len(keys) == 2
+    start = np.array([setting[key] for key in keys])
+
+    def weigh(numbers):
+        return ripples.weigh({**setting, **dict(zip(keys, numbers, strict=True))})
+
+    simplex = [start, start + [0.3, 0], start + [0, 0.3]]
+    how = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-5}
+    best = minimize(lambda numbers: -weigh(numbers), start, method="Nelder-Mead", options=how)
+    reached, found = ripples.find_peak(setting, keys)
+    assert reached == pytest.approx(-best.fun, abs=2e-3)
+    assert reached > weigh(start) + 1
+    sigma = ripples.compute_sigma(found)
+    away = [(found[key] - value) / sigma[key] for key, value in zip(keys, best.x, strict=True)]
+    assert away == pytest.approx([0, 0], abs=0.05)
