@@ -201,10 +201,10 @@ class Scan:
                 break
             now, setting = more
         found = dict(setting)
-        for key, (least, most) in zip(keys, brackets, strict=True):
+        for key, (lowest, highest) in zip(keys, brackets, strict=True):
             # Further digits are not known, and a person copies the number.
-            decimals = -int(np.floor(np.log10(KEPT_DIGITS * (most - least))))
-            found[key] = min(max(round(setting[key], decimals), least), most)
+            decimals = -int(np.floor(np.log10(KEPT_DIGITS * (highest - lowest))))
+            found[key] = min(max(round(setting[key], decimals), lowest), highest)
         after = first.log_p if found == start else self.weigh(found)
         return (after, found) if after > first.log_p else (first.log_p, dict(start))
 
