@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.comparison import Comparison
     from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.noise import NoiseLevel
+    from parallel_cal.identification.drift_test import Moved
     from parallel_cal.identification.estimate import Estimate
     from parallel_cal.identification.noise_floor import NoiseFloor
     from parallel_cal.identification.recheck import Recheck
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
 Writer = Callable[[Summary, Mapping[str, float]], str]
 PROGRAM = "parallel-cal"
-MAX_MOVED = 4  # parts that an update names
+MAX_MOVED = 4  # parts, or changes, that an update names
 HELD_OUT = " (rms at held-out poses)"
 IMITATES = "the error falls with it, but something else causes it"
 STATED = (
@@ -167,17 +168,34 @@ def _judge_by_revisits(judged: FitResult | Comparison) -> NoiseLevel:
 
 
 def _state_moved(drift: Recheck | None) -> Iterator[Line]:
-    """State how far the parts that an update found changed are from the last calibration."""
-    texts = []
-    for one in drift.shown[:MAX_MOVED] if drift is not None else ():
-        unit, factor = value_unit(one.unit)
-        size = with_sigma(one.value, one.sigma, factor).replace("±", "+-")
-        sigmas = f"{abs(one.value) / one.sigma:.0f} sigma"
-        texts.append(f"{one.title} by {size} {unit} ({sigmas})")
-    if drift is not None and (more := len(drift.shown) - MAX_MOVED) > 0:
-        texts.append(f"{more} more")
-    if texts:
-        yield Line("moved:", f"{', '.join(texts)} since the last calibration", FOUND)
+    """State how far the parts that an update found changed are from the last calibration, and what
+    else may have changed in their place."""
+    if drift is None or not (likely := drift.likely):
+        return
+    sizes = ", ".join(_shorten([_write_moved(one, len(likely) == 1) for one in likely[0].shown]))
+    names = [
+        f"{_write_moved(one.moved[0]) if len(one.moved) == 1 else one.title} "
+        f"({format_percent(one.probability)})"
+        for one in likely
+    ]
+    if len(likely) == 1:
+        text = sizes or likely[0].title
+    else:
+        names[0] += f": {sizes}" if sizes and len(likely[0].moved) > 1 else ""
+        text = "; or ".join(_shorten(names))
+    yield Line("moved:", f"{text} since the last calibration", FOUND)
+
+
+def _shorten(texts: Sequence[str]) -> list[str]:
+    more = [f"{len(texts) - MAX_MOVED} more"] if len(texts) > MAX_MOVED else []
+    return [*texts[:MAX_MOVED], *more]
+
+
+def _write_moved(one: Moved, with_sigmas: bool = False) -> str:
+    unit, factor = value_unit(one.unit)
+    size = with_sigma(one.value, one.sigma, factor).replace("±", "+-")
+    sigmas = f" ({abs(one.value) / one.sigma:.0f} sigma)" if with_sigmas else ""
+    return f"{one.title} by {size} {unit}{sigmas}"
 
 
 def _state_noise(

@@ -119,6 +119,28 @@ def test_a_zero_that_jumped_is_named_after_few_samples():
     assert found.document()["looks"][-1]["drifted"] == pytest.approx(found.outcomes["drifted"])
 
 
+def test_all_changes_that_may_be_the_cause_are_named_with_their_probabilities():
+    few = recheck(calibrated(), session(4, np.random.default_rng(4), (0.0, 2e-3, 0.0)))
+    share = [one.probability for one in few.likely]
+    assert 0.3 < share[0] < 0.9
+    assert sum(share[:-1]) < 0.95 <= sum(share)
+    assert share == pytest.approx(list(few.parts.values())[: len(share)])
+    assert few.shown == few.likely[0].shown
+    document = few.document()
+    assert document["moved"] == document["likely"][0]["moved"]
+    assert [one["change"] for one in document["likely"]] == list(few.parts)[: len(share)]
+    fit = pc.fit(
+        calibrated(),
+        session(4, np.random.default_rng(4), (0.0, 2e-3, 0.0)),
+        update=True,
+        hold_out=0,
+    )
+    [line] = [one.text for one in summarize(fit) if one.label == "moved:"]
+    for one in few.likely[:3]:
+        assert few.titles.get(one.name, one.name) in line
+        assert f"({format_percent(one.probability)})" in line
+
+
 def test_without_a_drift_the_robot_is_said_to_be_unchanged_before_all_poses_are_measured():
     found = recheck(calibrated(), session(24, np.random.default_rng(6)))
     assert found.decision[1] == "unchanged"
