@@ -139,6 +139,11 @@ class Recheck:
         return self.verdict in (UNCHANGED, DEVICE_MOVED)
 
     @property
+    def has_device_moved(self) -> bool:
+        """Whether it is decided that only the measuring device moved, and not surely its target."""
+        return self.verdict == DEVICE_MOVED and self._moved_device != TARGET
+
+    @property
     def is_shown(self) -> bool:
         """Whether it is likelier that the robot has drifted than that nothing has changed."""
         return self.outcomes[DRIFTED] > self.outcomes[UNCHANGED]
