@@ -278,6 +278,20 @@ class Model:
         patterns = [pattern for one in own for pattern in one.fixed_patterns()]
         return self.table.matching(patterns) & self.fixed
 
+    def list_unused_numbers(self) -> set[str]:
+        """List the settings of effects that no joint has: its own where it has the common one, and
+        the common one where each joint has its own."""
+        numbers, unused = self.table.mapping(self.values), set[str]()
+        for effect in self.effects:
+            common = f"{effect.name}.{effect.each}"
+            if not effect.each or common not in numbers:
+                continue
+            own = [n for n in numbers if n.startswith(f"{effect.name}.") and n != common]
+            own = [n for n in own if effect.is_of_one_joint(n)]
+            absent = {n for n in own if not numbers[n]}
+            unused |= absent if absent or not own else {common}
+        return unused
+
     def robot(self) -> Model:
         """Return the model as a controller needs it: effects of the measuring device are zero."""
         own = [f"{effect.name}.*" for effect in self.effects if effect.of_device]

@@ -234,17 +234,18 @@ def list_settings(model: Model, effect: str) -> dict[str, tuple[set[float], str]
     kind = load_effect(effect)
     if type(kind).scan is Effect.scan:
         return {}
-    found = dict[str, tuple[set[float], str]]()
-    chosen, has_common = model.settings_of(effect), f"{effect}.{kind.each}" in model.table.names
-    each = zip(model.table, model.values.tolist(), chosen, strict=True)
-    stated = {p.name.removeprefix(f"{effect}."): (p, value) for p, value, is_one in each if is_one}
+    found, unused = dict[str, tuple[set[float], str]](), model.list_unused_numbers()
+    each = zip(model.table, model.values.tolist(), model.settings_of(effect), strict=True)
+    stated = {
+        p.name.removeprefix(f"{effect}."): (p, value)
+        for p, value, is_one in each
+        if is_one and p.name not in unused
+    }
+    has_common = f"{effect}.{kind.each}" in model.table.names
     own = [key for key in stated if has_common and kind.is_of_one_joint(key)]
-    differ = [key for key in own if stated[key][1]]
     for key, (p, value) in stated.items():
-        if (key in own and key not in differ) or (key == kind.each and own and own == differ):
-            continue  # a joint that has the common number, or a common number that no joint has
         is_one = key in own or key == kind.each
-        name = name_setting(key, differ) if is_one else key.rpartition(".")[2]
+        name = name_setting(key, own) if is_one else key.rpartition(".")[2]
         found.setdefault(name, (set(), p.unit))[0].add(value)
     return found
 

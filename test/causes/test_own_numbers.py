@@ -9,6 +9,7 @@ import parallel_cal as pc
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.reporting.contents import parameters
 from parallel_cal.reporting.summary import describe_effect
 from parallel_cal.session.steps import add
 
@@ -116,3 +117,21 @@ def test_an_addition_without_numbers_searches_for_those_of_each_joint():
 def test_a_number_of_one_joint_needs_that_of_the_others():
     with pytest.raises(ModelError, match=r"joint1\.ratio is stated without ratio"):
         new_model("delta24").with_effect("gear_transmission_error", {"joint1.ratio": 11.0})
+
+
+def test_the_tables_of_a_report_list_the_numbers_that_joints_have():
+    """They listed `gear ratio of its own, or 0 of joint 1`, with the value 0."""
+    name = "gear_transmission_error"
+    model, data = with_ripples((9.0, 15.0, 9.0), 2)
+
+    def list_shown(settings):
+        result = pc.fit(model.with_effect(name, settings), data, joint_sigma=1.2e-4, hold_out=0)
+        shown = {n: one for n, one in parameters(result).items() if n.endswith("ratio")}
+        return {n.removeprefix(f"{name}."): (one.value, one.words) for n, one in shown.items()}
+
+    assert list_shown({"ratio": 9.0}) == {"ratio": (9.0, f"gear ratio of {name.replace('_', ' ')}")}
+    found = list_shown({"ratio": 9.0, "joint2.ratio": 15.0})
+    assert set(found) == {"ratio", "joint2.ratio"}
+    assert found["joint2.ratio"] == (15.0, "own gear ratio of joint 2 of gear transmission error")
+    every = {f"joint{k}.ratio": ratio for k, ratio in ((1, 9.0), (2, 15.0), (3, 9.5))}
+    assert set(list_shown({"ratio": 9.0, **every})) == set(every)
