@@ -290,7 +290,7 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     yield _state_noise(write, best.simulated_noise, best, best.estimate)
     likely, imitators = _divide(diagnosis.missing)
     for cause in likely:
-        text = _join_rivals(cause["each"], "{name} {percent}")
+        text = _join_rivals(_name_causes(diagnosis, cause["each"]), "{name} {percent}")
         yield Line("missing:", f"{text}{_describe_doubted(cause['settings'])}", ODD)
     if not likely:
         yield Line("missing:", "no effect of the catalogue")
@@ -309,13 +309,28 @@ def describe_missing(diagnosis: Diagnosis) -> str:
     likely, imitators = _divide(diagnosis.missing)
     sentences = [] if likely else ["No known effect is missing"]
     for cause in (*likely, *imitators):
-        each = {title_of(name): p for name, p in cause["each"].items()}
+        each = _name_causes(diagnosis, cause["each"], title_of)
         text = _join_rivals(each, "{name}: {percent}")
         text += _describe_doubted(cause["settings"])
         sentences.append(f"{text[0].upper()}{text[1:]}")
         if cause in imitators:
             sentences[-1] += f"; {IMITATES}"
     return "".join(f"{sentence}. " for sentence in sentences).rstrip()
+
+
+def _name_causes(
+    diagnosis: Diagnosis, each: Mapping[str, float], title: Callable[[str], str] = str
+) -> dict[str, float]:
+    """The probabilities of effects by their titles. What is missing of an effect that the model has
+    is a number that a joint has of its own."""
+    has = {effect.name for effect in diagnosis.model.effects}
+    other = {c.name: name_setting(key) for c in diagnosis.best.chosen for key in c.settings}
+    return {
+        f"{title(name)} with another {other[name]}"
+        if name in has and name in other
+        else title(name): p
+        for name, p in each.items()
+    }
 
 
 def _divide(missing: Sequence[Mapping[str, Any]]) -> tuple[list[Any], list[Any]]:
