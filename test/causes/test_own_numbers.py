@@ -162,6 +162,7 @@ def test_a_joint_whose_number_differs_is_found_in_a_model_that_has_the_effect(
     assert named.settings == pytest.approx(other, abs=0.6)
     lines = {line.label: line.text for line in summarize(found)}
     assert lines["missing:"] == f"{GEARS} with another ratio of joint2 > 99 %"
+    assert found.verdict.summary.startswith(f"{GEARS} with another ratio of joint2 accounts for")
     assert describe_missing(found) == "Ripple of the gears with another ratio of joint2: > 99 %."
     # The proposed command works, and the model then lacks nothing.
     monkeypatch.chdir(tmp_path)
