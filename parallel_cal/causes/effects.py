@@ -39,7 +39,7 @@ def list_effect_blocks(
         if effect.of_device and not effect.reads and not scene.shows_pose:
             continue
         try:
-            plain = scene.model.with_effect(name)
+            plain = extend(scene.model, name)
         except ModelError:
             continue
         if plain.mechanism is not mechanism or find_missing_conditions(plain, scene.dataset):
@@ -63,7 +63,7 @@ def list_effect_blocks(
             tried *= 2
         usual = [root for root in roots for _ in settings]
         settings = len(roots) * settings
-        if effect.alone and not known.get(name):
+        if effect.alone and not (known.get(name) or has_effect(scene.model, name)):
             patterns = [f"{name}.{one}" for one in effect.alone]
             own_names = np.array(stated.table.names)[new]
             apart = own[:, [any(fnmatchcase(n, one) for one in patterns) for n in own_names]]
@@ -119,7 +119,8 @@ def widen_scene(scene: Scene, wide: Model) -> tuple[Scene, np.ndarray]:
 
 def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
     """The settings of an effect that its `scan` proposes, rounded where a number is continuous, but
-    not beyond the ends of the scan: these may be physical bounds."""
+    not beyond the ends of the scan: these may be physical bounds. Of an effect that the model has,
+    those that one of its joints may have of its own; none if a prior knows its coefficients."""
     found = list(effect.scan(scene.model.mechanism, collect_recorded_values(scene.dataset)))
     if not effect.refines:
         return found
@@ -133,7 +134,43 @@ def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
         low, high = ends[key]
         return min(max(float(f"{value:.{DIGITS}g}"), low), high)
 
-    return [{key: shorten(key, value) for key, value in one.items()} for one in found]
+    found = [{key: shorten(key, value) for key, value in one.items()} for one in found]
+    if not has_effect(scene.model, effect.name):
+        return found
+    numbers = [one[effect.each] for one in found if effect.each in one and scene.within is None]
+    joints = list_joints_alike(scene.model, effect)
+    return [{f"{joint}.{effect.each}": number} for joint in joints for number in numbers]
+
+
+def has_effect(model: Model, name: str) -> bool:
+    """Whether a model has an effect."""
+    return any(one.name == name for one in model.effects)
+
+
+def list_joints_alike(model: Model, effect: Effect) -> list[str]:
+    """The joints of a model that have the number of the others in one of its effects, where they
+    may have their own; none if they are too few to differ."""
+    numbers = model.table.mapping(model.values)
+    if f"{effect.name}.{effect.each}" not in numbers:
+        return []
+    names = {joint: f"{effect.name}.{joint}.{effect.each}" for joint in model.joints}
+    alike = [joint for joint, name in names.items() if numbers.get(name) == 0]
+    return alike if len(alike) > 1 else []
+
+
+def extend(model: Model, name: str) -> Model:
+    """The model with an effect at its end, whose coefficients are zero. If the model has it, its
+    joints keep their numbers, and one of them may be given its own."""
+    if not has_effect(model, name):
+        return model.with_effect(name)
+    numbers = {
+        one.removeprefix(f"{name}."): value
+        for one, value, is_one in zip(
+            model.table.names, model.values.tolist(), model.settings_of(name), strict=True
+        )
+        if is_one
+    }
+    return model.without_effect(name).with_effect(name).with_settings(name, numbers)
 
 
 def list_effects_to_test(
@@ -150,7 +187,9 @@ def list_effects_to_test(
     if asked and all(load_effect(name).applies(model.mechanism) for name in asked):
         model.with_effect(asked[0])
     wanted = dict.fromkeys([*(asked or list_plugins("effects")), *own])
-    return [name for name in wanted if name not in has]
+    return [
+        name for name in wanted if name not in has or list_joints_alike(model, load_effect(name))
+    ]
 
 
 def compute_effect_columns(
@@ -178,8 +217,17 @@ def yield_columns(
 
 
 def find_new_parameters(before: Model, after: Model) -> np.ndarray:
-    """Mask of the free parameters that `after` has and `before` has not, or holds fixed."""
+    """Mask of the free parameters that `after` has and `before` has not, or holds fixed; and of
+    those of a joint that has another number there in an effect of both."""
     old = {n for n, fixed in zip(before.table.names, before.fixed, strict=True) if not fixed}
+    if any(effect.each for effect in before.effects):
+        numbers = before.table.mapping(before.values)
+        for effect in before.effects:
+            for name, value in after.table.mapping(after.values).items():
+                own = name.startswith(f"{effect.name}.") and effect.is_of_one_joint(name)
+                if own and numbers.get(name, value) != value:
+                    joint = name.removesuffix(effect.each)
+                    old = {n for n in old if not n.startswith(joint)}
     return np.array([n not in old for n in after.table.names]) & ~np.asarray(after.fixed)
 
 

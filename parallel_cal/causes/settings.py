@@ -12,6 +12,7 @@ from parallel_cal.base.confidence import EQUAL_EVIDENCE
 from parallel_cal.causes.effects import (
     MIN_SCANNED,
     compute_effect_columns,
+    extend,
     find_new_parameters,
     list_own_numbers,
     yield_columns,
@@ -98,7 +99,7 @@ class Scan:
     @cached_property
     def _plain(self) -> tuple[Model, np.ndarray]:
         """The model with the effect, and its conditions."""
-        plain = self.scene.model.with_effect(self.block.name)
+        plain = extend(self.scene.model, self.block.name)
         return plain, conditions(plain, self.scene.dataset)
 
     def at(self, values: Mapping[str, float]) -> Block:
@@ -155,9 +156,10 @@ class Scan:
         none if they are too few to look between them."""
         number, own = self.number_of(key), self.list_own(setting)
         others = {(k, v) for k, v in setting.items() if k != number and k not in own}
-        values = sorted(
-            {one[number] for one in self.scanned.settings if others <= one.items() and one}
-        )
+        if load_effect(self.block.name).is_of_one_joint(number):
+            others = set()  # each joint is scanned alone
+        alike = (one for one in self.scanned.settings if others <= one.items())
+        values = sorted({one[number] for one in alike if number in one})
         return values if len(values) >= MIN_SCANNED else []
 
     def number_of(self, key: str) -> str:
@@ -339,7 +341,7 @@ def choose_setting(
     """The likeliest of the scanned settings of an effect beside no other cause, refined if the
     effect is likelier than none, with the standard deviations of the refined numbers. With `apart`,
     joints may have numbers of their own."""
-    plain = scene.model.with_effect(name)
+    plain = extend(scene.model, name)
     each = yield_columns(scene, plain, settings)
     stated = plain.with_settings(name, settings[0])
     new = find_new_parameters(scene.model, stated)

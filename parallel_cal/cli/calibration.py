@@ -57,15 +57,24 @@ def fit(
 ) -> None:
     """Identify the free parameters and show the errors. The model is written to the file of -o if
     the validation error falls."""
-    from parallel_cal.session.steps import fitted
+    from parallel_cal.session.steps import UnprovenStepError, fitted
 
     options = replace(options, insist=force)
     start, dataset = read_model_and_data(model, bags, data)
     force = force or output is None  # without an output there is nothing to refuse
     step = fitted(
-        start, dataset, force, options=options, progress=console.progress, effects=effect or ()
+        start,
+        dataset,
+        force or options.update,
+        options=options,
+        progress=console.progress,
+        effects=effect or (),
     )
-    _finish(step, Given(model, bags, data, options.update), output, parameters, details, as_json)
+    kept = output if step.acceptance.against and not force else None
+    if kept is not None and not (step.result.drift and step.result.drift.is_robot_unchanged):
+        raise UnprovenStepError(step.acceptance.against)
+    given = Given(model, bags, data, options.update)
+    _finish(step, given, None if kept else output, parameters, details, as_json, kept)
 
 
 @with_options
@@ -168,12 +177,19 @@ class Given:
 
 
 def _finish(
-    step: Step, given: Given, output: Path | None, parameters: bool, details: bool, as_json: bool
+    step: Step,
+    given: Given,
+    output: Path | None,
+    parameters: bool,
+    details: bool,
+    as_json: bool,
+    kept: Path | None = None,
 ) -> None:
-    """Write the model, then print the result, so that a failed write prints no success."""
+    """Write the model, then print the result, so that a failed write prints no success. A file is
+    `kept` as it is if an update decided that the robot has not drifted."""
     from parallel_cal.model.file.modelfile import model_hash, replace_model
 
-    written = {}
+    written: dict[str, str | None] = {} if kept is None else {"output": None, "hash": None}
     if output is not None:
         # `export` finds the touches of a printer's bed again by the paths of the recordings.
         *earlier, last = step.model.history
@@ -188,8 +204,10 @@ def _finish(
     from parallel_cal.reporting.results import describe
 
     console.show(describe(step), list_options(details, parameters))
-    if written:
-        console.say(f"written: {output} (sha256 {written['hash'][:12]})")
+    if output is not None:
+        console.say(f"written: {output} (sha256 {model_hash(model)[:12]})")
+    if kept is not None:
+        console.say(f"not written: {kept}, because the robot is as it was at its last calibration")
     if step.result.outliers is not None:  # the proposed command excludes samples itself
         given = given.without_exclusions
     print_summary(step, step.model, given, _find_next_step(step, given, output))

@@ -29,7 +29,15 @@ Target = Annotated[
         help="c, klipper, rrf, ... or the Python path of your own target",
     ),
 ]
-Folder = Annotated[Path | None, typer.Option("-o", "--output", help="folder to write to")]
+Folder = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help="folder to write to; the name of the file if the target writes one, such as "
+        "robot.urdf",
+    ),
+]
 Into = Annotated[
     list[Path] | None,
     typer.Option(
@@ -70,7 +78,7 @@ def export(
     from parallel_cal.model.file.modelfile import read_model
 
     if (output is None) == (not into):
-        raise typer.BadParameter("expected either -o FOLDER or --into FILE")
+        raise typer.BadParameter("expected either -o FOLDER (or FILE) or --into FILE")
     robot = read_model(model)
     judged = _touches(robot, model, touches or [], bool(into))
     if into:

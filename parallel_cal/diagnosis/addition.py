@@ -162,8 +162,8 @@ def find_addition(
         If an effect is unknown or does not apply to the model.
     """
     asked, larger = parse_effects(effect), model
-    for name, _ in asked:  # report a wrong name before a search
-        larger = larger.with_effect(name)
+    for name, settings in asked:  # report a wrong name before a search
+        larger = larger.with_effect(name, settings)
     dataset = add_lagged_conditions(larger.conditions, dataset)
     limited = limit_patterns(options, model, larger)
 

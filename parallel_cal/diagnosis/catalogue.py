@@ -13,6 +13,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.effects import (
     MIN_SCANNED,
     compute_effect_columns,
+    extend,
     find_missing_conditions,
     scan_settings,
     widen_scene,
@@ -107,7 +108,7 @@ def candidate(
     if reason := effect.applies(scene.model.mechanism):
         return Candidate(name, effect, reason=f"does not apply: {reason}", applies=False)
     try:
-        plain = scene.model.with_effect(name)
+        plain = extend(scene.model, name)
     except ModelError as error:
         return Candidate(name, effect, reason=str(error), applies=False)
     if effect.of_device and not effect.reads and not scene.shows_pose:

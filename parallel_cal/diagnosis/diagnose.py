@@ -218,8 +218,9 @@ class Diagnosis(ShownInNotebook):
         commands = discovers + adds if self.verdict.suspected_of_law else adds + discovers
         refit = f"parallel-cal fit MODEL RECORDING{exclude} -o REFITTED.yaml"
         if self.drift is not None and self.drift.verdict == DEVICE_MOVED:
-            # Other effects than that of the target may imitate the device at its new place.
-            adds = adds if TARGET_EFFECT in self.effects else []
+            # Other effects than that of the target may imitate a device that was not placed.
+            is_placed = len(self.model.sensors) > len(self.base.fitted.given.start.sensors)
+            adds = adds if is_placed or TARGET_EFFECT in self.effects else []
             commands = [self.drift.cure, *(f"if it stays there, {one}" for one in adds)]
         return (*self._list_checks("" if commands else refit), *commands, *advice)
 

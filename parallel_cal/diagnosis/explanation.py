@@ -16,7 +16,9 @@ import numpy as np
 
 from parallel_cal.causes.effects import (
     compute_effect_columns,
+    extend,
     find_new_parameters,
+    has_effect,
 )
 from parallel_cal.causes.settings import weigh_settings
 from parallel_cal.causes.unknown_laws import name_law
@@ -273,7 +275,14 @@ def _scene_about(base: Trial, best: Trial, within: Prior | None) -> Scene:
     fitted, result = base.fitted, best.fitted.model
     found = result.table.mapping(result.values)
     before = fitted.model.table.mapping(fitted.model.values)
-    values = np.array([found.get(name, value) for name, value in before.items()])
+    # A joint whose number differs now keeps its wave of before.
+    renewed = {one.name for one in best.chosen if has_effect(fitted.model, one.name)}
+    values = np.array(
+        [
+            value if name.partition(".")[0] in renewed else found.get(name, value)
+            for name, value in before.items()
+        ]
+    )
     about = replace(fitted.model, values=values)
     scene = Scene.of(about, fitted.dataset, fitted.observations, fitted.free, base.shared, within)
     effects = [one for one in best.chosen if one not in base.chosen]
@@ -284,7 +293,7 @@ def _scene_about(base: Trial, best: Trial, within: Prior | None) -> Scene:
         residual = np.einsum("nk,nrk->nr", residual, scene.turn)
     residual = residual.reshape(-1)
     for one in effects:
-        plain = about.with_effect(one.name)
+        plain = extend(about, one.name)
         a = conditions(plain, fitted.dataset)
         new = find_new_parameters(about, plain.with_settings(one.name, one.settings))
         away = np.array([found[name] for name in np.array(plain.table.names)[new]])

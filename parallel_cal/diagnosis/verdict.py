@@ -127,10 +127,15 @@ class Findings:
 
     @property
     def names(self) -> str:
-        """`backlash`, `A or B` or a family of lookalikes; several as `(A or B) and C`."""
-        names = [
-            format_effect_names([c.name, *self.swaps.get(c.name, [])]) for c in self.best.chosen
-        ]
+        """`backlash`, `A or B` or a family of lookalikes; several as `(A or B) and C`. Of an effect
+        that the model has, a joint has another number: `A with another ratio of joint2`."""
+        has = {effect.name for effect in self.base.fitted.model.effects}
+        names = list[str]()
+        for one in self.best.chosen:
+            name = format_effect_names([one.name, *self.swaps.get(one.name, [])])
+            for joint, _, number in (key.rpartition(".") for key in one.settings):
+                name += f" with another {number} of {joint}" if one.name in has else ""
+            names.append(name)
         if len(names) == 1:
             return names[0]
         return " and ".join(f"({name})" if " or " in name else name for name in names)
@@ -265,7 +270,8 @@ def _judge(found: Findings) -> Verdict:
         )
         return Verdict("at_noise", words, share, against, _noise(found))
     word = "partly_explained" if against else "explained"
-    words = f"{names} {_describe_share(found)}. {errors}"
+    beside = _describe_only_doubt(found) if against else ""
+    words = f"{names} {_describe_share(found)}{beside}. {errors}"
     return Verdict(word, words, share, against, _noise(found))
 
 
@@ -277,6 +283,20 @@ def _describe_share(found: Findings) -> str:
         return f"{'together explain' if several else 'explains'} the remaining error"
     verb = "together account" if several else "accounts"
     return f"{verb} for {100 * max(found.share, 0):.0f} % of the error above the noise floor"
+
+
+def _describe_only_doubt(found: Findings) -> str:
+    """Say why effects that leave nothing are only a part of an explanation: their sizes, or the
+    device, let doubt that they are the cause."""
+    if found.leaves_more_than_noise or found.laws:
+        return ""
+    doubts = []
+    if found.unusual:
+        verb = "is" if len(found.unusual) == 1 else "are"
+        doubts.append(f"{' and '.join(one.name for one in found.unusual)} {verb} larger than usual")
+    if found.robot_or_device or found.unseparated:
+        doubts.append("the robot or the measuring device may be the cause")
+    return f"; nothing else is left, but {', and '.join(doubts)}" if doubts else ""
 
 
 def _ask_for_sides(found: Findings, errors: str, share: float | None) -> Verdict:

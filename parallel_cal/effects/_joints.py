@@ -107,7 +107,7 @@ def make_own_constants(joints: Collection[str], common: Parameter) -> list[Param
     own."""
     if len(joints) < 2:
         return [common]
-    own = replace(common, nominal=0.0, low=0.0, label=f"{common.label} of its own, or 0")
+    own = replace(common, nominal=0.0, low=0.0, label=f"own {common.label}")
     return [common, *(replace(own, name=f"{joint}.{common.name}") for joint in joints)]
 
 

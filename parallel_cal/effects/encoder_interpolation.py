@@ -87,11 +87,12 @@ class EncoderInterpolation(Effect):
 
     def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
         """Return half of the period: twice the true period fits as well, by its second harmonic."""
-        if setting["period"] >= 2 * PERIODS[0]:
-            yield {"period": setting["period"] / 2}
+        key = "period" if "period" in setting else next(iter(setting))  # that of one joint
+        if setting[key] >= 2 * PERIODS[0]:
+            yield {key: setting[key] / 2}
 
     def period(self, setting: Mapping[str, float]) -> float:
-        return setting["period"]
+        return setting.get("period") or min(setting.values())
 
 
 def _find_scales(mechanism: Mechanism) -> list[str]:

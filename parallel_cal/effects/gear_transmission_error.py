@@ -94,12 +94,13 @@ class GearTransmissionError(Effect):
 
     def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
         """Return twice the ratio: an error once per input turn is its second harmonic."""
-        if 2 * setting["ratio"] <= RATIOS[1]:
-            yield {"ratio": 2 * setting["ratio"]}
+        key = "ratio" if "ratio" in setting else next(iter(setting))  # that of one joint
+        if 2 * setting[key] <= RATIOS[1]:
+            yield {key: 2 * setting[key]}
 
     def period(self, setting: Mapping[str, float]) -> float:
         """Return one turn of the gear's input."""
-        return 2 * np.pi / setting["ratio"]
+        return 2 * np.pi / (setting.get("ratio") or max(setting.values()))
 
 
 def _find_spool_turns(mechanism: Mechanism) -> list[float]:

@@ -28,6 +28,7 @@ from parallel_cal.exporting.editing import (
     sets_stored_value,
 )
 from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
+from parallel_cal.exporting.output import place_files
 from parallel_cal.exporting.projection import (
     Firmware,
     Machine,
@@ -95,7 +96,8 @@ def export(
         path of your own target, a module with a function
         `files(model, option=default, ...) -> {name: text}`.
     folder : str or Path
-        The folder to write the files to. It is created if it does not exist.
+        The folder to write the files to. It is created if it does not exist. If the target writes
+        a single file, it may be the name of that file, such as `robot.urdf`.
     touches : Touches, optional
         Points of the bed that a probe touched. The result then states the bed heights at these
         points, computed by the model and by the formula of the firmware.
@@ -109,7 +111,8 @@ def export(
     Raises
     ------
     ModelError
-        If the target is unknown or cannot represent this model.
+        If the target is unknown or cannot represent this model, or if `folder` is the name of a
+        file and the target writes several.
 
     Examples
     --------
@@ -146,11 +149,10 @@ def export(
             after = rms_height(robot, found, touches, "the new")
             heights = BedHeights(len(touches.q), None, after, excluded=touches.excluded)
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    for file, text in made.items():
-        (Path(folder) / file).parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(Path(folder) / file, text)
-        result.paths.append(Path(folder) / file)
+    for path, text in place_files(name, made, Path(folder)).items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, text)
+        result.paths.append(path)
     if hasattr(module, "remarks"):
         result.remarks.extend(module.remarks(robot))
     result.remarks.extend(_describe_limits(model))

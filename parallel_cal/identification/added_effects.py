@@ -24,8 +24,9 @@ def add_effects(model: Model, effects: Iterable[str], dataset: Dataset) -> Model
     """
     recorded = {**dataset.conditions, **dict(zip(dataset.joint_names, dataset.q.T, strict=True))}
     for name, settings in (one for text in effects for one in parse_effects(text)):
+        had = {effect.name for effect in model.effects}
         model = model.with_effect(name, settings)
-        own = [effect for effect in model.effects if effect.name == name]
+        own = [effect for effect in model.effects if effect.name == name and name not in had]
         for effect in own:  # none if the effect is a larger mechanism
             searched = {key for one in effect.scan(model.mechanism, recorded) for key in one}
             if missing := sorted(searched - set(settings)):

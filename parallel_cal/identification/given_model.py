@@ -112,7 +112,10 @@ class GivenModel:
     def place(self, larger: Model, how: FitOptions) -> Model:
         """Return the start of a fit with further effects, and with the device where it stands if
         the robot has them: the lack of a large one moves it."""
-        start, larger = self.start, larger.with_sensors(self.start.sensors)
+        start = self.start
+        if len(larger.sensors) > len(start.sensors):  # an update placed the device that moved
+            return larger
+        larger = larger.with_sensors(start.sensors)
         values, fixed = larger.values.copy(), np.array(larger.fixed)
         for i, parameter in enumerate(start.table):
             if parameter.group == "sensor":

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,26 @@ DRIFTED, DEVICE_MOVED, UNCHANGED = "drifted", "device_moved", "unchanged"
 CHANGED, UNDECIDED = "changed", "undecided"
 
 
+class PossibleChange(NamedTuple):
+    """What may have changed: its name, and that in words, the probability that it is this, if
+    something has changed, and by how much each part has then changed, the most significant first.
+    """
+
+    name: str
+    title: str
+    probability: float
+    moved: tuple[Moved, ...]
+
+    @property
+    def shown(self) -> tuple[Moved, ...]:
+        """The parts that have changed by more than their uncertainty allows."""
+        return tuple(one for one in self.moved if abs(one.value) > SHOWN_SIGMAS * one.sigma)
+
+    def document(self) -> dict[str, Any]:
+        moved = [one._asdict() for one in self.shown]
+        return {"change": self.name, "probability": self.probability, "moved": moved}
+
+
 @dataclass(frozen=True)
 class Recheck:
     """Whether a robot has drifted since its calibration, as each further sample showed it.
@@ -55,8 +75,8 @@ class Recheck:
         The probability at which it is decided.
     expected : ExpectedDrift, optional
         What all samples let expect of the parameters, of an update and of further samples.
-    moved : tuple of Moved
-        By how much the parts of the likeliest change have changed, the most significant first.
+    possible : tuple of PossibleChange
+        The fewest changes that have the certainty together, the likeliest first.
     titles : Mapping
         Names of parameters in words.
     """
@@ -66,7 +86,7 @@ class Recheck:
     kinds: tuple[str, ...]
     certainty: float = CERTAINTY
     expected: ExpectedDrift | None = None
-    moved: tuple[Moved, ...] = ()
+    possible: tuple[PossibleChange, ...] = ()
     titles: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -119,6 +139,11 @@ class Recheck:
         return self.verdict in (UNCHANGED, DEVICE_MOVED)
 
     @property
+    def has_device_moved(self) -> bool:
+        """Whether it is decided that only the measuring device moved, and not surely its target."""
+        return self.verdict == DEVICE_MOVED and self._moved_device != TARGET
+
+    @property
     def is_shown(self) -> bool:
         """Whether it is likelier that the robot has drifted than that nothing has changed."""
         return self.outcomes[DRIFTED] > self.outcomes[UNCHANGED]
@@ -146,12 +171,15 @@ class Recheck:
         return words
 
     @property
+    def likely(self) -> tuple[PossibleChange, ...]:
+        """The possible changes; none if nothing has changed, or if it is not decided."""
+        return () if self.verdict in (UNCHANGED, UNDECIDED) else self.possible
+
+    @property
     def shown(self) -> tuple[Moved, ...]:
-        """The parts that have changed by more than their uncertainty allows; none if nothing has
-        changed, or if it is not decided."""
-        if self.verdict in (UNCHANGED, UNDECIDED):
-            return ()
-        return tuple(one for one in self.moved if abs(one.value) > SHOWN_SIGMAS * one.sigma)
+        """The parts of the likeliest change that have changed by more than their uncertainty
+        allows; none if nothing has changed, or if it is not decided."""
+        return self.likely[0].shown if self.likely else ()
 
     @property
     def cure(self) -> str:
@@ -239,6 +267,7 @@ class Recheck:
             "scale": self.scale,
             "parts": self.parts,
             "moved": [one._asdict() for one in self.shown],
+            "likely": [one.document() for one in self.likely],
             "growth": expected and expected.growth,
             "error_if_kept": expected and expected.kept,
             "more_samples": expected and expected.more_samples,
@@ -310,10 +339,21 @@ def weigh_changes(
     expected = expect_drift(model, test, looks[-1], information, pull, certainty)
     kinds = tuple(one.kind for one in test.changes)
     names = tuple(one.name for one in test.changes)
-    k = int(looks[-1].changed.sum(axis=1).argmax())
-    moved = test.estimate(k, SCALES[looks[-1].changed[k].argmax()], A, b)
     titles = {one.name: one.parts[0].title for one in test.changes if one.kind == PART}
-    return Recheck(tuple(looks), names, kinds, certainty, expected, moved, titles)
+    share = looks[-1].changed.sum(axis=1)
+    order = np.argsort(-share, kind="stable").tolist()
+    count = int(np.searchsorted(np.cumsum(share[order]), certainty * share.sum())) + 1
+    likeliest = SCALES[looks[-1].changed.argmax(axis=1)]
+    possible = tuple(
+        PossibleChange(
+            names[k],
+            titles.get(names[k], names[k]),
+            float(share[k] / max(share.sum(), 1e-300)),
+            test.estimate(k, likeliest[k], A, b),
+        )
+        for k in order[:count]
+    )
+    return Recheck(tuple(looks), names, kinds, certainty, expected, possible, titles)
 
 
 def check_certainty(certainty: float) -> None:

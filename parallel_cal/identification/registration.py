@@ -243,6 +243,8 @@ def prepared_for_fit(
     refixed = registration is None and not shows_pose(model)
     if refixed and not _are_others_free(model, options):
         return model, None
+    if registration is not None and options.update and model.covariance is not None:
+        return model, registration  # the last calibration knows the robot: its frames are free
     observations = observe(model, dataset, options.joint_sigma, options.insist)
     told = registration is None or registration.told
     if refixed:

@@ -219,7 +219,8 @@ class Model:
         return float(self.values[self.table.index_of(name)])
 
     def with_effect(self, name: str, settings: Mapping[str, float] | None = None) -> Model:
-        """Return the model with one more effect, whose coefficients are zero.
+        """Return the model with one more effect, whose coefficients are zero; or, of an effect that
+        it has, with a number that a joint has of its own.
 
         Parameters
         ----------
@@ -228,7 +229,7 @@ class Model:
             effect.
         settings : mapping of str to float, optional
             Known parameters of the effect, by short name, such as `{"ratio": 80.0}`. They are
-            fixed.
+            fixed. Of an effect that the model has, only such as `{"joint2.ratio": 15.0}`.
 
         Returns
         -------
@@ -240,9 +241,13 @@ class Model:
             If the effect is unknown, does not apply to the mechanism, or is in the model already,
             or if the settings state the constant of a joint without that of the others.
         """
-        if any(effect.name == name for effect in self.effects):
-            raise ModelError(f"the model already has the effect '{name}'")
         effect = load_effect(name)
+        own = [key for key in settings or {} if effect.is_of_one_joint(key)]
+        if any(one.name == name for one in self.effects):
+            if own and len(own) == len(settings or {}):
+                return self.with_settings(name, settings or {})
+            hint = f"; a joint that differs: {name}:JOINT.{effect.each}=..." if effect.each else ""
+            raise ModelError(f"the model already has the effect '{name}'{hint}")
         reason = effect.applies(self.mechanism)
         if effect.reads and not reason and not any(map(effect.acts_on, self.structure.channels)):
             reason = f"no sensor measures {' or '.join(effect.reads)}"
@@ -250,7 +255,6 @@ class Model:
             raise ModelError(f"effect {name} does not apply to {self.mechanism.name}: {reason}")
         more = self.widen() if effect.widens else self.with_effects((*self.effects, effect))
         common, given = effect.each, settings or {}
-        own = [key for key in given if effect.is_of_one_joint(key)]
         if own and common not in given and f"{name}.{common}" in more.table.names:
             raise ModelError(
                 f"{name}: {own[0]} is stated without {common}, which the other joints have: state "
@@ -277,6 +281,20 @@ class Model:
         own = [one for one in self.effects if one.name in effects]
         patterns = [pattern for one in own for pattern in one.fixed_patterns()]
         return self.table.matching(patterns) & self.fixed
+
+    def list_unused_numbers(self) -> set[str]:
+        """List the settings of effects that no joint has: its own where it has the common one, and
+        the common one where each joint has its own."""
+        numbers, unused = self.table.mapping(self.values), set[str]()
+        for effect in self.effects:
+            common = f"{effect.name}.{effect.each}"
+            if not effect.each or common not in numbers:
+                continue
+            own = [n for n in numbers if n.startswith(f"{effect.name}.") and n != common]
+            own = [n for n in own if effect.is_of_one_joint(n)]
+            absent = {n for n in own if not numbers[n]}
+            unused |= absent if absent or not own else {common}
+        return unused
 
     def robot(self) -> Model:
         """Return the model as a controller needs it: effects of the measuring device are zero."""

@@ -373,8 +373,10 @@ def describe_parameters(
     model: Model, estimates: Mapping[str, ParameterEstimate]
 ) -> dict[str, DescribedParameter]:
     """Describe the estimates of a model's parameters, by name. A setting of an effect, such as a
-    lead, has not moved from a nominal value: what stood there before was a guess."""
-    table, tolerances = model.table, model.usual_tolerance
+    lead, has not moved from a nominal value: what stood there before was a guess. One that no joint
+    has is left out."""
+    table, unused = model.table, model.list_unused_numbers()
+    tolerances = dict(zip(table.names, model.usual_tolerance, strict=True))
     settings = model.settings_of(*(one.name for one in model.effects))
     unmoved = {n for n, is_one in zip(table.names, settings, strict=True) if is_one}
     return {
@@ -382,9 +384,10 @@ def describe_parameters(
             **vars(p) | ({"nominal": p.value, "moved_tolerances": 0.0} if name in unmoved else {}),
             shown_name=table[name].shown_name,
             words=describe(name, table),
-            sigma_tolerances=None if p.sigma is None else p.sigma / tolerance,
+            sigma_tolerances=None if p.sigma is None else p.sigma / tolerances[name],
         )
-        for (name, p), tolerance in zip(estimates.items(), tolerances, strict=True)
+        for name, p in estimates.items()
+        if name not in unused
     }
 
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.comparison import Comparison
     from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.noise import NoiseLevel
+    from parallel_cal.identification.drift_test import Moved
     from parallel_cal.identification.estimate import Estimate
     from parallel_cal.identification.noise_floor import NoiseFloor
     from parallel_cal.identification.recheck import Recheck
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
 Writer = Callable[[Summary, Mapping[str, float]], str]
 PROGRAM = "parallel-cal"
-MAX_MOVED = 4  # parts that an update names
+MAX_MOVED = 4  # parts, or changes, that an update names
 HELD_OUT = " (rms at held-out poses)"
 IMITATES = "the error falls with it, but something else causes it"
 STATED = (
@@ -167,17 +168,34 @@ def _judge_by_revisits(judged: FitResult | Comparison) -> NoiseLevel:
 
 
 def _state_moved(drift: Recheck | None) -> Iterator[Line]:
-    """State how far the parts that an update found changed are from the last calibration."""
-    texts = []
-    for one in drift.shown[:MAX_MOVED] if drift is not None else ():
-        unit, factor = value_unit(one.unit)
-        size = with_sigma(one.value, one.sigma, factor).replace("±", "+-")
-        sigmas = f"{abs(one.value) / one.sigma:.0f} sigma"
-        texts.append(f"{one.title} by {size} {unit} ({sigmas})")
-    if drift is not None and (more := len(drift.shown) - MAX_MOVED) > 0:
-        texts.append(f"{more} more")
-    if texts:
-        yield Line("moved:", f"{', '.join(texts)} since the last calibration", FOUND)
+    """State how far the parts that an update found changed are from the last calibration, and what
+    else may have changed in their place."""
+    if drift is None or not (likely := drift.likely):
+        return
+    sizes = ", ".join(_shorten([_write_moved(one, len(likely) == 1) for one in likely[0].shown]))
+    names = [
+        f"{_write_moved(one.moved[0]) if len(one.moved) == 1 else one.title} "
+        f"({format_percent(one.probability)})"
+        for one in likely
+    ]
+    if len(likely) == 1:
+        text = sizes or likely[0].title
+    else:
+        names[0] += f": {sizes}" if sizes and len(likely[0].moved) > 1 else ""
+        text = "; or ".join(_shorten(names))
+    yield Line("moved:", f"{text} since the last calibration", FOUND)
+
+
+def _shorten(texts: Sequence[str]) -> list[str]:
+    more = [f"{len(texts) - MAX_MOVED} more"] if len(texts) > MAX_MOVED else []
+    return [*texts[:MAX_MOVED], *more]
+
+
+def _write_moved(one: Moved, with_sigmas: bool = False) -> str:
+    unit, factor = value_unit(one.unit)
+    size = with_sigma(one.value, one.sigma, factor).replace("±", "+-")
+    sigmas = f" ({abs(one.value) / one.sigma:.0f} sigma)" if with_sigmas else ""
+    return f"{one.title} by {size} {unit}{sigmas}"
 
 
 def _state_noise(
@@ -216,17 +234,18 @@ def list_settings(model: Model, effect: str) -> dict[str, tuple[set[float], str]
     kind = load_effect(effect)
     if type(kind).scan is Effect.scan:
         return {}
-    found = dict[str, tuple[set[float], str]]()
-    chosen, has_common = model.settings_of(effect), f"{effect}.{kind.each}" in model.table.names
-    each = zip(model.table, model.values.tolist(), chosen, strict=True)
-    stated = {p.name.removeprefix(f"{effect}."): (p, value) for p, value, is_one in each if is_one}
+    found, unused = dict[str, tuple[set[float], str]](), model.list_unused_numbers()
+    each = zip(model.table, model.values.tolist(), model.settings_of(effect), strict=True)
+    stated = {
+        p.name.removeprefix(f"{effect}."): (p, value)
+        for p, value, is_one in each
+        if is_one and p.name not in unused
+    }
+    has_common = f"{effect}.{kind.each}" in model.table.names
     own = [key for key in stated if has_common and kind.is_of_one_joint(key)]
-    differ = [key for key in own if stated[key][1]]
     for key, (p, value) in stated.items():
-        if (key in own and key not in differ) or (key == kind.each and own and own == differ):
-            continue  # a joint that has the common number, or a common number that no joint has
         is_one = key in own or key == kind.each
-        name = name_setting(key, differ) if is_one else key.rpartition(".")[2]
+        name = name_setting(key, own) if is_one else key.rpartition(".")[2]
         found.setdefault(name, (set(), p.unit))[0].add(value)
     return found
 
@@ -271,7 +290,7 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     yield _state_noise(write, best.simulated_noise, best, best.estimate)
     likely, imitators = _divide(diagnosis.missing)
     for cause in likely:
-        text = _join_rivals(cause["each"], "{name} {percent}")
+        text = _join_rivals(_name_causes(diagnosis, cause["each"]), "{name} {percent}")
         yield Line("missing:", f"{text}{_describe_doubted(cause['settings'])}", ODD)
     if not likely:
         yield Line("missing:", "no effect of the catalogue")
@@ -290,13 +309,28 @@ def describe_missing(diagnosis: Diagnosis) -> str:
     likely, imitators = _divide(diagnosis.missing)
     sentences = [] if likely else ["No known effect is missing"]
     for cause in (*likely, *imitators):
-        each = {title_of(name): p for name, p in cause["each"].items()}
+        each = _name_causes(diagnosis, cause["each"], title_of)
         text = _join_rivals(each, "{name}: {percent}")
         text += _describe_doubted(cause["settings"])
         sentences.append(f"{text[0].upper()}{text[1:]}")
         if cause in imitators:
             sentences[-1] += f"; {IMITATES}"
     return "".join(f"{sentence}. " for sentence in sentences).rstrip()
+
+
+def _name_causes(
+    diagnosis: Diagnosis, each: Mapping[str, float], title: Callable[[str], str] = str
+) -> dict[str, float]:
+    """The probabilities of effects by their titles. What is missing of an effect that the model has
+    is a number that a joint has of its own."""
+    has = {effect.name for effect in diagnosis.model.effects}
+    other = {c.name: name_setting(key) for c in diagnosis.best.chosen for key in c.settings}
+    return {
+        f"{title(name)} with another {other[name]}"
+        if name in has and name in other
+        else title(name): p
+        for name, p in each.items()
+    }
 
 
 def _divide(missing: Sequence[Mapping[str, Any]]) -> tuple[list[Any], list[Any]]:

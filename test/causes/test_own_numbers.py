@@ -5,16 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from typer.testing import CliRunner
 
 import parallel_cal as pc
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.settings import Scan
+from parallel_cal.cli.main import application
 from parallel_cal.diagnosis.addition import see
 from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.posterior.evidence import Choice
-from parallel_cal.reporting.summary import describe_effect
+from parallel_cal.reporting.contents import parameters
+from parallel_cal.reporting.summary import describe_effect, describe_missing, summarize
 from parallel_cal.session.steps import add
 
 
@@ -164,3 +167,89 @@ def test_numbers_are_sought_to_the_peak_that_a_search_without_derivatives_finds(
     sigma = ripples.compute_sigma(found)
     away = [(found[key] - value) / sigma[key] for key, value in zip(keys, best.x, strict=True)]
     assert away == pytest.approx([0, 0], abs=0.05)
+
+
+def test_the_tables_of_a_report_list_the_numbers_that_joints_have():
+    """They listed `gear ratio of its own, or 0 of joint 1`, with the value 0."""
+    name = "gear_transmission_error"
+    model, data = with_ripples((9.0, 15.0, 9.0), 2)
+
+    def list_shown(settings):
+        result = pc.fit(model.with_effect(name, settings), data, joint_sigma=1.2e-4, hold_out=0)
+        shown = {n: one for n, one in parameters(result).items() if n.endswith("ratio")}
+        return {n.removeprefix(f"{name}."): (one.value, one.words) for n, one in shown.items()}
+
+    assert list_shown({"ratio": 9.0}) == {"ratio": (9.0, f"gear ratio of {name.replace('_', ' ')}")}
+    found = list_shown({"ratio": 9.0, "joint2.ratio": 15.0})
+    assert set(found) == {"ratio", "joint2.ratio"}
+    assert found["joint2.ratio"] == (15.0, "own gear ratio of joint 2 of gear transmission error")
+    every = {f"joint{k}.ratio": ratio for k, ratio in ((1, 9.0), (2, 15.0), (3, 9.5))}
+    assert set(list_shown({"ratio": 9.0, **every})) == set(every)
+
+
+GEARS = "gear_transmission_error"
+
+
+@pytest.mark.parametrize(
+    ("ratios", "other"),
+    [((9.0, 15.0, 9.0), {"joint2.ratio": 15.0}), ((12.4, 12.4, 12.4), {})],
+)
+def test_a_joint_whose_number_differs_is_found_in_a_model_that_has_the_effect(
+    tmp_path, monkeypatch, ratios, other
+):
+    """Laws and other effects were named for it, since the model had the effect already."""
+    model, data = with_ripples(ratios, 2)
+    common = f"{GEARS}:ratio={ratios[0]}"
+    has = add(model, common, data, force=True, joint_sigma=1.2e-4).model
+    found = pc.diagnose(has, data, joint_sigma=1.2e-4)
+    assert found.effects == ((GEARS,) if other else ())
+    assert found.left == "no"
+    if not other:
+        return
+    [named] = found.best.chosen
+    assert named.settings == pytest.approx(other, abs=0.6)
+    lines = {line.label: line.text for line in summarize(found)}
+    assert lines["missing:"] == f"{GEARS} with another ratio of joint2 > 99 %"
+    assert found.verdict.summary.startswith(f"{GEARS} with another ratio of joint2 accounts for")
+    assert describe_missing(found) == "Ripple of the gears with another ratio of joint2: > 99 %."
+    # The proposed command works, and the model then lacks nothing.
+    monkeypatch.chdir(tmp_path)
+    pc.write_model(has, "robot.yaml")
+    data.to_json("today.json")
+    words = ["add", "robot.yaml", *found.additions, "today.json", "--joint-sigma", "1.2e-4"]
+    done = CliRunner().invoke(application(words), [*words, "-o", "better.yaml"])
+    assert done.exit_code == 0
+    better = pc.read_model("better.yaml")
+    assert better.value(f"{GEARS}.joint2.ratio") == named.settings["joint2.ratio"]
+    assert better.value(f"{GEARS}.ratio") == 9.0
+    assert [effect.name for effect in better.effects] == [GEARS]
+    assert pc.diagnose(better, data, joint_sigma=1.2e-4).effects == ()
+
+
+@pytest.mark.wide
+def test_a_screw_that_differs_is_found_in_a_model_that_has_the_effect():
+    leads = {"joint1": 5.1e-3, "joint2": 5.1e-3, "joint3": 8.2e-3}
+    waves = ",".join(f"{joint}.sin={60e-6!r},{joint}.lead={v!r}" for joint, v in leads.items())
+    noise = Noise(joint=2e-6, position=1e-5, orientation=1e-4)
+    model = replace(new_model("linear_delta"), noise=noise)
+    data = pc.simulate(model, 120, 4, effects=[f"screw_pitch_error:lead=5.1e-3,{waves}"]).dataset()
+    has = add(model, "screw_pitch_error:lead=5.1e-3", data, force=True).model
+    [named] = pc.diagnose(has, data).best.chosen
+    assert named.settings == pytest.approx({"joint3.lead": 8.2e-3}, rel=0.02)
+
+
+def test_another_effect_is_not_taken_for_a_number_of_one_joint():
+    model, data = with_ripples((12.4, 12.4, 12.4), 6)
+    data = replace(data, q=data.q + 3e-3 * np.sin(2 * data.q + 0.3) * np.array([0, 1, 0]))
+    has = add(model, f"{GEARS}:ratio=12.4", data, force=True, joint_sigma=1.2e-4).model
+    found = pc.diagnose(has, data, joint_sigma=1.2e-4)
+    assert found.effects
+    assert GEARS not in found.effects
+
+
+def test_an_effect_that_the_model_has_takes_only_the_number_of_a_joint():
+    has = new_model("delta24").with_effect(GEARS, {"ratio": 9.0})
+    assert has.with_effect(GEARS, {"joint2.ratio": 15.0}).value(f"{GEARS}.joint2.ratio") == 15.0
+    for wrong in ({}, {"ratio": 8.0}, {"ratio": 8.0, "joint2.ratio": 15.0}):
+        with pytest.raises(ModelError, match=r"already has .*: gear_.*:JOINT\.ratio=\.\.\."):
+            has.with_effect(GEARS, wrong)

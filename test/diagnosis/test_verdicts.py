@@ -20,6 +20,7 @@ from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
 from parallel_cal.diagnosis.search import Trial
+from parallel_cal.diagnosis.unusual import UnusualEffect
 from parallel_cal.diagnosis.verdict import (
     QUIETER,
     Findings,
@@ -31,6 +32,7 @@ from parallel_cal.diagnosis.verdict import (
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.identification.unusual import UnusualSize
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -228,6 +230,17 @@ def test_what_no_robot_has_is_no_objection_where_nothing_is_left():
         outdone=(words,),
     )
     assert judge(findings).word == "explained"
+    assert "nothing else is left" not in judge(findings).summary
+    # A doubt about the size alone does not contradict that all of the error is accounted for.
+    size = UnusualSize("backlash.joint1", 9e-3, 0.0, 3e-3, "rad")
+    summary = found.best.fitted.held_out.summary
+    worn = UnusualEffect("backlash", (size,), None, summary, None, True)
+    doubted = judge(replace(findings, unusual=(worn,)))
+    assert doubted.word == "partly_explained"
+    words_of_size = "; nothing else is left, but backlash is larger than usual. Error at"
+    assert words_of_size in doubted.summary
+    device = judge(replace(findings, robot_or_device=("backlash",)))
+    assert "nothing else is left, but the robot or the measuring device may be" in device.summary
     on_payload = SimpleNamespace(description="the residuals depend on the payload")
     doubtful = judge(replace(findings, remaining=on_payload))
     assert doubtful.word == "partly_explained"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import virtual_day as vd
 
+from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.export import export
 from parallel_cal.exporting.tree import tree_of
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -160,3 +161,28 @@ def test_every_reading_has_a_joint_of_its_name(name, tmp_path):
     at = everything(model, tree, q, found.configuration.rows)
     _, placed = Urdf(path).frame(model.frames["platform"], at)
     np.testing.assert_allclose(placed, found.position, atol=1e-9)
+
+
+def test_a_single_file_has_the_name_that_is_given(tmp_path):
+    """`-o robot.urdf` made a folder of this name."""
+    model = new_model("delta24")
+    [inside] = export(model, "urdf", tmp_path / "folder").paths
+    [named] = export(model, "urdf", tmp_path / "new" / "robot.urdf").paths
+    assert (inside.parent, named) == (tmp_path / "folder", tmp_path / "new" / "robot.urdf")
+    assert named.read_text() == inside.read_text()
+    (tmp_path / "v1.urdf").mkdir()
+    [there] = export(model, "urdf", tmp_path / "v1.urdf").paths
+    assert there == tmp_path / "v1.urdf" / inside.name
+
+
+def test_the_name_of_a_file_is_refused_where_a_folder_is_needed(tmp_path):
+    with pytest.raises(
+        ModelError, match=r"robot\.h is the name of a file: c writes .*, delta24\.c,"
+    ):
+        export(new_model("delta24"), "c", tmp_path / "robot.h")
+    model = tmp_path / "robot.yaml"
+    model.write_text("of the robot")
+    with pytest.raises(ModelError, match=r"give a folder, or a file whose name ends in \.urdf"):
+        export(new_model("delta24"), "urdf", model)
+    assert [path.name for path in tmp_path.iterdir()] == ["robot.yaml"]
+    assert model.read_text() == "of the robot"

@@ -25,6 +25,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.recheck import recheck
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.summary import summarize
 from parallel_cal.session.steps import fitted
@@ -117,6 +118,28 @@ def test_a_zero_that_jumped_is_named_after_few_samples():
     assert abs(moved.value + 2e-3) < 3 * moved.sigma < 1e-3  # the readings shifted by 2 mrad
     assert found.expected.growth < 2
     assert found.document()["looks"][-1]["drifted"] == pytest.approx(found.outcomes["drifted"])
+
+
+def test_all_changes_that_may_be_the_cause_are_named_with_their_probabilities():
+    few = recheck(calibrated(), session(4, np.random.default_rng(4), (0.0, 2e-3, 0.0)))
+    share = [one.probability for one in few.likely]
+    assert 0.3 < share[0] < 0.9
+    assert sum(share[:-1]) < 0.95 <= sum(share)
+    assert share == pytest.approx(list(few.parts.values())[: len(share)])
+    assert few.shown == few.likely[0].shown
+    document = few.document()
+    assert document["moved"] == document["likely"][0]["moved"]
+    assert [one["change"] for one in document["likely"]] == list(few.parts)[: len(share)]
+    fit = pc.fit(
+        calibrated(),
+        session(4, np.random.default_rng(4), (0.0, 2e-3, 0.0)),
+        update=True,
+        hold_out=0,
+    )
+    [line] = [one.text for one in summarize(fit) if one.label == "moved:"]
+    for one in few.likely[:3]:
+        assert few.titles.get(one.name, one.name) in line
+        assert f"({format_percent(one.probability)})" in line
 
 
 def test_without_a_drift_the_robot_is_said_to_be_unchanged_before_all_poses_are_measured():
@@ -288,6 +311,48 @@ def test_a_target_that_was_moved_is_no_drift_of_the_robot_for_fit_and_diagnose_a
     assert found.effects == ("target_offset",)
     assert found.next_steps[0] == acceptance(result).cure
     assert found.next_steps[1].startswith("if it stays there, add what was found: parallel-cal add")
+
+
+def displaced_session(backlash=0.0):
+    """Samples whose device has moved, and whose drives have a backlash (rad)."""
+    found = session(20, np.random.default_rng(12), shift=(2e-3, -1.5e-3, 1e-3))
+    side = np.sign(np.random.default_rng(1).normal(size=found.q.shape))
+    sides = {f"direction.{joint}": side[:, k] for k, joint in enumerate(calibrated().joints)}
+    q = found.q + side * backlash / 2
+    return replace(found, q=q, conditions={**found.conditions, **sides})
+
+
+def test_no_effect_is_said_to_be_missing_where_only_the_device_moved():
+    """Effects imitated it, each with 79 to 99 %."""
+    found = pc.diagnose(calibrated(), displaced_session(), update=True)
+    assert found.drift.verdict == "device_moved"
+    assert (found.effects, found.missing, found.left) == ((), [], "no")
+    assert found.verdict.word == "at_noise"
+    assert found.next_steps == ("keep MODEL, and put the measuring device back",)
+
+
+def test_what_is_missing_beside_a_moved_device_is_named():
+    model, today = calibrated(), displaced_session(backlash=5e-4)
+    found = pc.diagnose(model, today, update=True)
+    assert (found.drift.verdict, found.effects) == ("device_moved", ("backlash",))
+    keep, added = found.next_steps
+    assert keep == "keep MODEL, and put the measuring device back"
+    assert added.startswith(
+        "if it stays there, add what was found: parallel-cal add MODEL backlash"
+    )
+    step = pc.add(model, "backlash", today, update=True)
+    assert step.model.sensors[0].name == "device_frame"
+    best = found.best.fitted.held_out.summary.position_rms
+    assert step.result.held_out.summary.position_rms == pytest.approx(best)
+
+
+def test_a_fit_that_places_the_device_holds_the_robot_to_its_last_calibration():
+    """The frames were fitted beside a robot near its drawing, and lay millimetres off."""
+    placing = calibrated().with_sensors((load_sensor("device_frame"),))
+    found = pc.fit(placing, displaced_session(), update=True)
+    assert found.estimate.chi2_per_dof < 1.5
+    assert found.registration.position == pytest.approx([-2e-3, 1.5e-3, -1e-3], abs=1e-4)
+    assert np.abs(found.registration.quaternion[:3]).max() < 5e-4
 
 
 def test_samples_that_the_model_was_fitted_to_are_not_counted_again_as_an_update():

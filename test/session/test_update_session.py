@@ -13,9 +13,11 @@ from parallel_cal.base.progress import ignore_progress
 from parallel_cal.cli.main import application
 from parallel_cal.identification.fit import Prepared
 from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.recheck import recheck
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.session.saving import compare_with_model_in_use
 from parallel_cal.session.session import Session
+from parallel_cal.session.steps import UnprovenStepError
 from parallel_cal.workbench.views import view
 
 SAMPLES = 16  # hardly more rows than the geometry has parameters: the prior counts
@@ -116,3 +118,36 @@ def test_an_effect_that_the_prior_does_not_know_is_known_as_before_any_data():
     assert np.sqrt(np.diag(larger.covariance)[new]) == pytest.approx(table.prior_sigma[new])
     assert not larger.covariance[np.ix_(new, ~new)].any()
     np.testing.assert_array_equal(larger.of_table(known.table).covariance, prior.covariance)
+
+
+@pytest.mark.parametrize(
+    ("samples", "zero", "shift", "verdict"),
+    [
+        (24, 0.0, 0.0, "unchanged"),
+        (24, 0.0, 5e-4, "device_moved"),
+        (24, 2e-3, 0.0, "drifted"),
+        (8, 0.0, 0.0, "undecided"),
+    ],
+)
+def test_an_update_fails_only_if_it_is_not_known_what_to_use(
+    tmp_path, samples, zero, shift, verdict
+):
+    """That nothing has drifted is a good result: nothing is written then, as by `calibrate`."""
+    today = session(samples, np.random.default_rng(6), (0.0, zero, 0.0), (shift, 0.0, -shift))
+    today.to_json(tmp_path / "today.json")
+    write_model(calibrated(), tmp_path / "robot.yaml")
+    words = ["fit", str(tmp_path / "robot.yaml"), str(tmp_path / "today.json"), "--update"]
+    words += ["-o", str(tmp_path / "updated.yaml")]
+    assert recheck(calibrated(), today).verdict == verdict
+    done = CliRunner().invoke(application(words), words)
+    assert (tmp_path / "updated.yaml").exists() == (verdict == "drifted")
+    assert (done.exit_code == 0) == (verdict != "undecided")
+    if verdict == "undecided":
+        assert isinstance(done.exception, UnprovenStepError)
+        return
+    assert ("not written: " in done.stdout) == (verdict != "drifted")
+    assert ("keep " in done.stdout) == (verdict != "drifted")
+    found = json.loads(CliRunner().invoke(application(words), [*words, "--json"]).stdout)
+    assert found["drift"]["verdict"] == verdict
+    assert (found["output"] is None) == (verdict != "drifted")
+    assert found["acceptance"]["accepted"] == (verdict == "drifted")
