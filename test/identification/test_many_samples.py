@@ -3,10 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.identification import frames
+from parallel_cal.identification import frames, noise_floor
 from parallel_cal.identification.frames import Frames, PosePairs
+from parallel_cal.identification.observations import observe
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.simulate import simulate
 
 STANDS = Frames(
     np.array([0.4, -0.3, 1.2]),
@@ -49,3 +54,28 @@ def test_a_part_of_many_poses_selects_the_frames_that_all_of_them_are_fitted_to(
         assert np.allclose(one, other, atol=1e-9)
     assert np.allclose(found.f, STANDS.f, atol=1e-4)
     assert np.allclose(found.T, STANDS.T, atol=1e-3)
+
+
+@pytest.mark.parametrize("sensors", [(), ("inclinometer",)])
+def test_the_noise_floor_of_many_samples_is_simulated_in_parts(monkeypatch, sensors):
+    model = new_model("delta24", sensors=[load_sensor(one) for one in sensors])
+    data = simulate(model, 12, 3).dataset()
+    samples = observe(model, data, None, False)
+    assert not samples.noise_assumed
+    whole = noise_floor.simulate_noise_floor(model, samples)
+    sizes, errors = [], noise_floor.Errors
+
+    def counted(**parts):
+        sizes.append(len(parts["position"]))
+        return errors(**parts)
+
+    monkeypatch.setattr(noise_floor, "Errors", counted)
+    monkeypatch.setattr(noise_floor, "MAX_ROWS", 30)
+    found = noise_floor.simulate_noise_floor(model, samples)
+    assert sizes == [2 * len(data)] * (noise_floor.DRAWS // 2)
+    assert {k: v for k, v in vars(found.summary).items() if v} == pytest.approx(
+        {k: v for k, v in vars(whole.summary).items() if v}, rel=1e-12
+    )
+    assert found.sigmas == pytest.approx(whole.sigmas, rel=1e-9)
+    assert found.summary.position_rms
+    assert found.sigmas["position"]
