@@ -175,7 +175,7 @@ def test_the_difference_of_two_predictions_is_that_of_their_positions_over_the_w
 def test_a_page_shows_a_limited_number_of_many_samples_with_the_worst_and_says_so(monkeypatch):
     from parallel_cal.diagnosis.comparison import compare
     from parallel_cal.recordings.loading import load_sessions
-    from parallel_cal.reporting.contents import compared_samples
+    from parallel_cal.reporting import contents
     from parallel_cal.workbench import views
 
     model = read_model(MODEL)
@@ -186,9 +186,14 @@ def test_a_page_shows_a_limited_number_of_many_samples_with_the_worst_and_says_s
 
     monkeypatch.setattr(views, "MAX_SHOWN_SAMPLES", 40)
     monkeypatch.setattr(views, "MAX_WORST_SAMPLES", 10)
+    listed, judged = [], contents.JudgedSample
+    monkeypatch.setattr(
+        contents, "JudgedSample", lambda **given: listed.append(given) or judged(**given)
+    )
     part = views._make_comparison_view(found)
+    assert len(listed) == 40  # not one object for each of 10^5 samples
     numbers = [row["sample"] for row in part["samples"]["rows"]]
-    worst = {one.sample for one in compared_samples(found)[:10]}
+    worst = {one.sample for one in contents.compared_samples(found)[:10]}
     assert worst < set(numbers)
     assert part["shown"].startswith("The views and the table show 40 of 94 samples: the 10 worst")
     assert min(numbers) < 10 < 84 < max(numbers)  # of the whole recording
