@@ -352,7 +352,7 @@ def _make_report_view(found: Report) -> View:
         ],
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "names": _names(diagnosis.dataset.names),
-        "candidates": _list_candidates(diagnosis, tested),
+        "candidates": _list_candidates(diagnosis, tested, residuals.sample),
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if not e.candidate.testable
         ],
@@ -362,7 +362,9 @@ def _make_report_view(found: Report) -> View:
     }
 
 
-def _list_candidates(diagnosis: Diagnosis, tested: list[Entry]) -> list[dict[str, Any]]:
+def _list_candidates(
+    diagnosis: Diagnosis, tested: list[Entry], shown: np.ndarray
+) -> list[dict[str, Any]]:
     """The rows of the effects that were tested, with what the page shows of each besides."""
     rows = as_rows(tables.candidate_table(diagnosis, tested))["rows"]
     return [
@@ -370,7 +372,7 @@ def _list_candidates(diagnosis: Diagnosis, tested: list[Entry]) -> list[dict[str
         | {
             "found": entry.name in diagnosis.effects,
             "probable": entry.probable,
-            "pattern": view_pattern(entry, diagnosis.model),
+            "pattern": view_pattern(entry, diagnosis.model, shown),
         }
         for row, entry in zip(rows, tested, strict=True)
     ]

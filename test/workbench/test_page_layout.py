@@ -200,6 +200,11 @@ def test_a_page_shows_a_limited_number_of_many_samples_with_the_worst_and_says_s
     for values in (part["residuals"]["sigmas"], part["residuals"]["place"]):
         assert len(values) == 40
     assert part["field"]["numbers"] == numbers
+    assert part["machine"]["share"] == "40 of 94 samples"
+    assert "share" not in whole["machine"]
+    joints = next(one for one in part["pictures"] if one["name"] == "joints")["figure"]["data"]
+    points = [one for one in joints if one["name"] == "measured (40 of 94)"]
+    assert [one["customdata"] for one in points] == [numbers] * 3  # only these can be marked
     by_number = {row["sample"]: row for row in whole["samples"]["rows"]}
     assert [by_number[row["sample"]] for row in part["samples"]["rows"]] == (
         part["samples"]["rows"]
