@@ -401,6 +401,23 @@ def open_page(browser, url):
 
 
 @pytest.mark.wide
+@pytest.mark.parametrize(("width", "is_shown"), [(780, False), (1280, True)])
+def test_the_numbers_of_the_header_are_beside_the_verdict_or_not_shown(page, width, is_shown):
+    page.set_viewport_size({"width": width, "height": 800})
+    page.wait_for_timeout(500)  # the page is laid out anew
+    place = page.locator(".judged").bounding_box()
+    chip, numbers = page.locator("#verdict .badge"), page.locator("#headline")
+    said, errors = chip.bounding_box(), numbers.bounding_box()
+    assert numbers.inner_text().count("±") == 3
+    assert said["x"] + said["width"] <= place["x"] + place["width"]
+    if is_shown:
+        assert said["x"] + said["width"] < errors["x"]
+        assert errors["y"] + errors["height"] <= place["y"] + place["height"]
+    else:
+        assert errors["y"] >= place["y"] + place["height"]  # on a line that is cut off
+
+
+@pytest.mark.wide
 @pytest.mark.parametrize("size", SIZES)
 def test_the_first_screen_is_the_machine_the_verdict_and_one_step(page, size):
     width, height = SIZES[size]
