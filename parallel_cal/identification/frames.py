@@ -26,6 +26,8 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
 
 STEPS = 60
+# Poses with the same measured coordinates from which the starts descend: more only cost time.
+MAX_POSES_OF_SEARCH = 2000
 Array = np.ndarray
 
 
@@ -122,13 +124,35 @@ class PosePairs:
 
     def find_frames(self, device: bool = True, target: bool = True) -> Frames:
         """The frames with the smallest median error; the `device` or the `target` may be known to
-        be where it is `now`."""
+        be where it is `now`. Of many poses, a part selects the start; all of them are fitted."""
         f, F, t, T = vars(self.now).values()
         kept = ({} if device else {"f": f, "F": F}) | ({} if target else {"t": t, "T": T})
-        everything, free = np.arange(len(self.r)), np.repeat([device, target], 6)
-        starts = (replace(start, **kept) for start in self._starts())
-        ends = [self.descend(start, everything, free) for start in starts]
-        return min(ends, key=self.compute_median_error)
+        free, few = np.repeat([device, target], 6), self._select_few()
+        starts = (replace(start, **kept) for start in few._starts())
+        ends = [few.descend(start, np.arange(len(few.r)), free) for start in starts]
+        best = min(ends, key=few.compute_median_error)
+        return best if few is self else self.descend(best, np.arange(len(self.r)), free)
+
+    def _select_few(self) -> PosePairs:
+        """Of each set of measured coordinates at most MAX_POSES_OF_SEARCH poses, evenly spread."""
+        if len(self.r) <= MAX_POSES_OF_SEARCH:
+            return self
+        _, kinds = np.unique(self.measured, axis=0, return_inverse=True)
+        parts = [np.flatnonzero(kinds.ravel() == k) for k in range(kinds.max() + 1)]
+        steps = [np.linspace(0, len(k) - 1, min(len(k), MAX_POSES_OF_SEARCH)) for k in parts]
+        chosen = np.concatenate([k[at.astype(int)] for k, at in zip(parts, steps, strict=True)])
+        few = np.sort(chosen)
+        return PosePairs(
+            self.r[few],
+            self.R[few],
+            self.seen_r[few],
+            self.seen_R[few],
+            self.measured[few],
+            self.length,
+            self.target_is_free,
+            self.moves,
+            self.now,
+        )
 
     def find_near(self, frames: Frames) -> Array:
         """Indices of the measured poses without those that are far off with these frames."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +26,8 @@ from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.replicates import subtract_visits_mean
 
+DRAWS = 64  # repetitions of all measurements that are simulated
+MAX_ROWS = 20_000  # samples times repetitions that are simulated at once
 KINDS_OF_REVISITS = ("position", "orientation", "joint", "reading")
 
 
@@ -89,7 +93,7 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     """Simulate what a perfect model of this robot would show with the same measurement noise.
 
     Joint noise propagates to the pose and the sensors through forward kinematics, pose noise to the
-    joints through inverse kinematics. Means of norms come from 64 draws for each sample with a
+    joints through inverse kinematics. Means of norms come from DRAWS draws for each sample with a
     fixed seed.
     """
     if observations.noise_assumed:
@@ -103,33 +107,38 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     _, rows, by_free = linearise.blocks(model.values, x)
     jacobians = differentiate_errors(model, observations, rows, by_free, shown)
     rng = np.random.default_rng(seed)
-    draws = rng.standard_normal((64, *observations.S.shape[:2]))
-    noise = np.einsum(
-        "nij,dnj->dni",
-        np.linalg.cholesky(observations.S + 1e-30 * np.eye(len(observations.S[0]))),
-        draws,
-    )
+    draws = rng.standard_normal((DRAWS, *observations.S.shape[:2]))
+    factor = np.linalg.cholesky(observations.S + 1e-30 * np.eye(len(observations.S[0])))
     if shown:
         # Where only an image shows the pose, its noise is that of the pose.
-        factor = np.linalg.cholesky(shown.covariance[shown.known] + 1e-30 * np.eye(6))
-        at_images = rng.standard_normal((64, len(factor), 6))
-        noise[:, shown.known, n : n + 6] = np.einsum("nij,dnj->dni", factor, at_images)
+        of_images = np.linalg.cholesky(shown.covariance[shown.known] + 1e-30 * np.eye(6))
+        at_images = rng.standard_normal((DRAWS, len(of_images), 6))
     of_readings = rng.standard_normal((*draws.shape[:2], len(model.structure.channels)))
-    drawn = {}
-    for kind, one in jacobians.items():
-        e = np.einsum("nij,dnj->dni", one.by_measured, noise)
-        if kind in ("reading", "pixel"):
-            e += one.reading_sigma * of_readings
-        drawn[kind] = np.where(one.known, e, np.nan)
-    drawn["closure"] = where_known(
-        find_fully_measured_samples(model, observations),
-        np.einsum("nij,dnj->dni", rows[:, :closure], noise),
-    )
-    found = Errors(**{kind: np.concatenate(draw) for kind, draw in drawn.items()})
-    sigmas = {}
-    for kind in ERRORS:
-        squares = found.norms(kind).reshape(len(draws), -1) ** 2
-        known = np.isfinite(squares).all(axis=0)
-        if known.any():
-            sigmas[kind] = float(np.sqrt(squares[:, known].mean(axis=1)).std(ddof=1))
-    return NoiseFloor(found.summary, sigmas)
+    fully_measured = find_fully_measured_samples(model, observations)
+    means, squares = defaultdict[str, list[Any]](list), defaultdict[str, list[Any]](list)
+    # All draws of many samples at once would take gigabytes, and longer.
+    at_once = max(1, MAX_ROWS // max(1, len(x)))
+    for some in (slice(k, k + at_once) for k in range(0, DRAWS, at_once)):
+        noise = np.einsum("nij,dnj->dni", factor, draws[some])
+        if shown:
+            noise[:, shown.known, n : n + 6] = np.einsum("nij,dnj->dni", of_images, at_images[some])
+        drawn = {}
+        for kind, one in jacobians.items():
+            e = np.einsum("nij,dnj->dni", one.by_measured, noise)
+            if kind in ("reading", "pixel"):
+                e += one.reading_sigma * of_readings[some]
+            drawn[kind] = np.where(one.known, e, np.nan)
+        closure_errors = np.einsum("nij,dnj->dni", rows[:, :closure], noise)
+        drawn["closure"] = where_known(fully_measured, closure_errors)
+        found = Errors(**{kind: np.concatenate(draw) for kind, draw in drawn.items()})
+        sizes = {kind: found.norms(kind) for kind in ERRORS} | {"closure": found.closure}
+        for kind, size in sizes.items():
+            by_draw = size.reshape(len(noise), -1)
+            known = np.isfinite(by_draw).all(axis=0)
+            if known.any():
+                means[kind].extend(by_draw[:, known].mean(axis=1))
+                squares[kind].extend((by_draw[:, known] ** 2).mean(axis=1))
+    errors = {f"{kind}_rms": float(np.sqrt(np.mean(one))) for kind, one in squares.items()}
+    errors |= {f"{kind}_mean": float(np.mean(means[kind])) for kind in ERRORS if kind in means}
+    sigmas = {kind: float(np.sqrt(squares[kind]).std(ddof=1)) for kind in ERRORS if kind in squares}
+    return NoiseFloor(Summary(**errors), sigmas)

@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -258,11 +259,13 @@ class Dataset:
         """Return the number of a sample, and its name if it has one: `40 'S041'`."""
         return format_sample(number, self.names.get(number, ""))
 
-    @property
+    @cached_property  # a list of all samples asks for the number of each
     def numbers(self) -> NDArray[np.int64]:
         """Index (N,) of each sample in the recording, before any sample was excluded."""
         own = self.conditions.get(NUMBER)
-        return np.arange(len(self)) if own is None else own.astype(np.int64)
+        found = np.arange(len(self)) if own is None else own.astype(np.int64)
+        found.setflags(write=False)
+        return found
 
     def excluding(
         self, numbers: Sequence[int] | Mapping[int, str], why: str = "on request"

@@ -320,39 +320,44 @@ def samples(diagnosis: Diagnosis) -> list[JudgedSample]:
     return _list_samples(diagnosis.base.scene, now, found if diagnosis.effects else None, odd)
 
 
-def compared_samples(comparison: Comparison) -> list[JudgedSample]:
-    """List every sample of a comparison, worst first."""
+def compared_samples(
+    comparison: Comparison, numbers: np.ndarray | None = None
+) -> list[JudgedSample]:
+    """List the samples of a comparison, or those with these numbers, worst first."""
     odd = {one.sample: one.label for one in comparison.odd_samples}
     now = _list_sample_errors(comparison.errors, comparison.scene)
-    return _list_samples(comparison.scene, now, None, odd)
+    return _list_samples(comparison.scene, now, None, odd, numbers)
 
 
 def _list_samples(
     scene: Scene,
-    now: Sequence[Mapping[str, float]],
-    found: Sequence[Mapping[str, float]] | None,
+    now: Mapping[str, np.ndarray],
+    found: Mapping[str, np.ndarray] | None,
     odd: Mapping[int, str],
+    only: np.ndarray | None = None,
 ) -> list[JudgedSample]:
     data = scene.dataset
     position = np.where(data.measured[:, :3], data.r, np.nan)
+    order = np.argsort(-scene.sigmas, kind="stable")
+    if only is not None:
+        order = order[np.isin(data.numbers[order], only)]
     return [
         JudgedSample(
             sample=int(data.numbers[i]),
             time=data.time[i] if data.has_time else math.nan,
             joints=scene.observations.x[i, : len(scene.model.joints)],
             position=position[i],
-            now=now[i],
-            found=None if found is None else found[i],
+            now={kind: column[i] for kind, column in now.items()},
+            found=None if found is None else {kind: column[i] for kind, column in found.items()},
             odd=odd.get(data.numbers[i], ""),
             name=data.names.get(int(data.numbers[i]), ""),
         )
-        for i in np.argsort(-scene.sigmas, kind="stable")
+        for i in order
     ]
 
 
-def _list_sample_errors(errors: Errors, scene: Scene) -> list[dict[str, float]]:
-    columns = {kind: errors.norms(kind) for kind in ERRORS} | {"sigmas": scene.sigmas}
-    return [{key: column[i] for key, column in columns.items()} for i in range(len(scene.dataset))]
+def _list_sample_errors(errors: Errors, scene: Scene) -> dict[str, np.ndarray]:
+    return {kind: errors.norms(kind) for kind in ERRORS} | {"sigmas": scene.sigmas}
 
 
 @dataclass(frozen=True)

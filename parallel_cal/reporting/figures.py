@@ -29,6 +29,17 @@ def select_evenly(n: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
 
 
+def select_points(
+    numbers: np.ndarray, shown: np.ndarray | None, most: int
+) -> tuple[np.ndarray, str]:
+    """Choose at most so many samples (indices) by their numbers (N,), of those that are `shown`
+    elsewhere (all if None), evenly spread; and name them, with their share if it is not all."""
+    which = np.arange(len(numbers)) if shown is None else np.flatnonzero(np.isin(numbers, shown))
+    chosen = which[select_evenly(len(which), most)]
+    share = f" ({len(chosen)} of {len(numbers)})" if len(chosen) < len(numbers) else ""
+    return chosen, f"measured{share}"
+
+
 def side_by_side(
     panels: Sequence[Sequence[Spec]],
     axes: Sequence[tuple[str, str]],

@@ -6,6 +6,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.patterns import compute_mean_profile
 from parallel_cal.diagnosis.signature import Signature
+from parallel_cal.diagnosis.thresholds import WINDOW
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.contents import JointResiduals
 from parallel_cal.reporting.figures import (
@@ -14,6 +15,7 @@ from parallel_cal.reporting.figures import (
     round_values,
     round_with_gaps,
     select_evenly,
+    select_points,
     side_by_side,
 )
 from parallel_cal.reporting.readable import number, value_unit
@@ -22,24 +24,30 @@ MAX_LINE_ROUGHNESS = 0.5  # of a pattern's variance: neighbours that differ by m
 # points of a curve a period, samples that one is the mean of
 POINTS_PER_PERIOD = 40
 SAMPLES_PER_MEAN = 5
+MAX_MEANS = 60  # of the samples of a joint, one after the other along its readings
 MAX_POINTS_PER_JOINT = 300  # more hide each other, and a browser needs half a second to draw them
 SECTOR_MARGIN_DEG = 5.0  # margin of a sector around the measured range
 
 
-def flat_panels(found: JointResiduals, candidate: Signature | None = None) -> Spec:
+def flat_panels(
+    found: JointResiduals, candidate: Signature | None = None, shown: np.ndarray | None = None
+) -> Spec:
     """Draw one panel per joint: encoder reading minus inverse kinematics of the measured pose,
-    against the reading, with the pattern of a candidate."""
+    against the reading, with the pattern of a candidate. The points are samples whose numbers are
+    `shown`, by default of all; the means are those of all."""
     panels, axes, size = [], [], _size(found)
     for k, joint in enumerate(found.joints):
         unit, factor = value_unit(found.units[k])
         fine, small = _fine(found.units[k])
-        traces = _traces(found, candidate, k, factor, small)
+        traces = _traces(found, candidate, k, factor, small, shown)
         panels.append([trace | {"type": "scatter"} for trace in traces])
         axes.append((f"{joint} [{unit}]", f"{joint} residual [{fine}]"))
     return side_by_side(panels, axes, [-size, size])
 
 
-def polar_panels(found: JointResiduals, candidate: Signature | None = None) -> Spec | None:
+def polar_panels(
+    found: JointResiduals, candidate: Signature | None = None, shown: np.ndarray | None = None
+) -> Spec | None:
     """Draw the same panels in polar form, outwards where the encoder reads too much; None if no
     joint turns."""
     turning = [k for k, unit in enumerate(found.units) if unit == "rad"]
@@ -58,7 +66,7 @@ def polar_panels(found: JointResiduals, candidate: Signature | None = None) -> S
         "hoverinfo": "skip",
     }
     for k in turning:
-        traces = [zero, *_traces(found, candidate, k, factor, small)]
+        traces = [zero, *_traces(found, candidate, k, factor, small, shown)]
         # In a polar trace x is the angle (deg), and y is the radius.
         polar = {"x": "theta", "y": "r"}
         panels.append([{polar.get(key, key): trace[key] for key in trace} for trace in traces])
@@ -76,10 +84,15 @@ def _fine(unit: str) -> tuple[str, float]:
 
 
 def _traces(
-    found: JointResiduals, candidate: Signature | None, k: int, factor: float, small: float
+    found: JointResiduals,
+    candidate: Signature | None,
+    k: int,
+    factor: float,
+    small: float,
+    shown: np.ndarray | None,
 ) -> list[Spec]:
     """Draw the points and the pattern; a pattern with a short period has no rolling mean."""
-    points, mean = _points(found, k, factor, small), _mean(found, k, factor, small)
+    points, mean = _points(found, k, factor, small, shown), _mean(found, k, factor, small)
     if candidate is None:
         return [points, mean]
     period = next((p.period for p in candidate.panels if p.component == found.joints[k]), None)
@@ -92,12 +105,14 @@ def _traces(
     return [points, mean, laid]
 
 
-def _points(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
-    kept = select_evenly(len(found.sample), MAX_POINTS_PER_JOINT)
+def _points(
+    found: JointResiduals, k: int, factor: float, small: float, shown: np.ndarray | None
+) -> Spec:
+    kept, name = select_points(found.sample, shown, MAX_POINTS_PER_JOINT)
     x, y, numbers = found.readings[kept, k], found.errors[kept, k] * small, found.sample[kept]
     return {
         "mode": "markers",
-        "name": "measured",
+        "name": name,
         "x": round_values(x * factor),
         "y": round_with_gaps(y),
         "marker": {"size": 4, "color": QUIET, "opacity": 0.8},
@@ -109,12 +124,18 @@ def _points(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
 
 def _mean(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
     told = np.isfinite(found.errors[:, k])
-    means = compute_mean_profile("", found.readings[told, k], found.errors[told, k, None])
+    x, y = found.readings[told, k], found.errors[told, k]
+    if len(x) > MAX_MEANS * WINDOW:  # rolling means of so many are a smear
+        parts = np.array_split(np.argsort(x, kind="stable"), MAX_MEANS)
+        at, mean = (np.array([values[part].mean() for part in parts]) for values in (x, y))
+    else:
+        means = compute_mean_profile("", x, y[:, None])
+        at, mean = means.at, means.mean[:, 0]
     return {
         "mode": "lines",
         "name": "mean of the measured",
-        "x": round_values(means.at * factor),
-        "y": round_values(means.mean[:, 0] * small),
+        "x": round_values(at * factor),
+        "y": round_values(mean * small),
         "line": {"color": MEASURED, "width": 2},
         "hoverinfo": "skip",
     }

@@ -17,7 +17,7 @@ from parallel_cal.reporting.figures import (
     Spec,
     round_values,
     round_with_gaps,
-    select_evenly,
+    select_points,
     side_by_side,
 )
 from parallel_cal.reporting.joint_panels import MAX_POINTS_PER_JOINT
@@ -28,14 +28,15 @@ from parallel_cal.reporting.readable import (
 )
 
 
-def figure(found: Signature, mechanism: Mechanism) -> Spec:
-    """Draw the pattern of a candidate over the measured residuals.
+def figure(found: Signature, mechanism: Mechanism, shown: np.ndarray | None = None) -> Spec:
+    """Draw the pattern of a candidate over the measured residuals: at samples whose numbers are
+    `shown`, by default at samples of all.
 
     There is one panel for each joint that the effect acts on, otherwise for the components that
     depend most on a quantity. A panel has the residuals (grey points), their rolling mean with
     the 99 % band, and the rolling mean of the pattern.
     """
-    panels = [list(_traces(panel, mechanism, found.effect)) for panel in found.panels]
+    panels = [list(_traces(panel, mechanism, found.effect, shown)) for panel in found.panels]
     axes = [
         (_across(panel, mechanism).replace(": ", "\n"), f"{panel.component} residual [σ]")
         for panel in found.panels
@@ -75,19 +76,21 @@ def _across(panel: Panel, mechanism: Mechanism) -> str:
     return f"{panel.abscissa}{within}" + (f" [{unit}]" if unit else "")
 
 
-def _traces(panel: Panel, mechanism: Mechanism, effect: str) -> Iterator[Spec]:
+def _traces(
+    panel: Panel, mechanism: Mechanism, effect: str, shown: np.ndarray | None
+) -> Iterator[Spec]:
     """Draw the points, the band and the two means."""
     factor = value_unit(unit_along(mechanism, panel.abscissa))[1]
     at, both = panel.at, np.column_stack([panel.residual, panel.pattern])
     means = compute_mean_profile(panel.abscissa, at, both)
     few = len(np.unique(at)) <= LEVELS
     step = float(np.min(np.diff(means.at), initial=np.inf)) if few and len(means.at) > 1 else 0.0
-    kept = select_evenly(len(at), MAX_POINTS_PER_JOINT)
+    kept, name = select_points(panel.sample, shown, MAX_POINTS_PER_JOINT)
     spread = 0.2 * step * np.random.default_rng(0).uniform(-1, 1, len(kept))
     yield {
         "type": "scatter",
         "mode": "markers",
-        "name": "measured",
+        "name": name,
         "hoverinfo": "text",
         "x": round_values((at[kept] + spread) * factor),
         "y": round_values(panel.residual[kept]),

@@ -305,7 +305,7 @@ class Bench:
 
 # Views kept in memory for undo and redo. That of many samples takes 20 MB, and 0.05 s to parse.
 MAX_LOADED_VIEWS = 6
-VIEW_VERSION = 21  # of the stored views; a view of another version is computed again
+VIEW_VERSION = 22  # of the stored views; a view of another version is computed again
 
 
 def view_path(session: History, state: int | None = None) -> Path:

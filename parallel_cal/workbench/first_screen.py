@@ -101,8 +101,10 @@ class MachineCard:
             every = "every step " if len(stages) > 1 else ""
             words = (
                 f"Position errors in the frame of the base, {stage['name']}: "
-                f"{stage['error']} rms; {every}magnified {scales[chosen]:g} times."
+                f"{stage['error']} rms; {every}magnified {scales[chosen]:g} times"
             )
+            share = self._machine.get("share")
+            words += f"; arrows at {share}." if share else "."
             self._enlarge.set_text(f"enlarge {scales[-1] / scales[0]:g} times")
         self.words.set_text(words)
         config = {"displayModeBar": False}

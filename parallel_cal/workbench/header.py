@@ -40,16 +40,17 @@ class Header:
                 header.on("vue:mounted", js_handler="() => followHeaderHeight()")
                 self.campaign = CampaignBar(bench.live)
             with ui.row().classes("w-full no-wrap items-center gap-3"):
-                with ui.row().classes("grow basis-0 min-w-0 no-wrap items-center gap-0") as said:
-                    said.props("id=verdict role=status aria-live=polite")
-                    self.chip = Chip()
-                    self.verdict = ui.label().classes("truncate")
-                with said:
-                    self.whole = ui.tooltip()
-                with ui.row().classes("headline items-center no-wrap gap-2 shrink-0") as row:
-                    self.headline = row
-                    self.about = ui.label().classes("headline-about quiet text-xs")
-                    self.errors = ui.label().props("id=headline")
+                with ui.element().classes("judged grow basis-0 min-w-0"):
+                    with ui.row().classes("said grow min-w-0 no-wrap items-center gap-0") as said:
+                        said.props("id=verdict role=status aria-live=polite")
+                        self.chip = Chip()
+                        self.verdict = ui.label().classes("truncate")
+                    with said:
+                        self.whole = ui.tooltip()
+                    with ui.row().classes("headline items-center no-wrap gap-2 shrink-0") as row:
+                        self.headline = row
+                        self.about = ui.label().classes("headline-about quiet text-xs")
+                        self.errors = ui.label().props("id=headline")
                 with ui.row().classes("items-center no-wrap gap-2 min-w-0") as self.work:
                     self.stage = ui.label().classes("truncate").props("id=stage")
                     self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-24")

@@ -101,9 +101,10 @@ def view_machine(
         for one in stages
         if one.summary.position_rms is not None
     ]
-    return to_json_value(
-        draw_machine(scene.model, residuals.place, drawn, residuals.sample, erring)
-    )
+    machine = draw_machine(scene.model, residuals.place, drawn, residuals.sample, erring)
+    if machine is not None and not shown.all():
+        machine["share"] = f"{np.count_nonzero(shown)} of {len(shown)} samples"
+    return to_json_value(machine)
 
 
 def list_pictures(
@@ -115,9 +116,11 @@ def list_pictures(
     words = "encoder reading minus inverse kinematics of the measured pose"
     if own.joints:
         yield view_picture(
-            "joints", f"{words}, against the reading{over}", joint_panels.flat_panels(own, laid)
+            "joints",
+            f"{words}, against the reading{over}",
+            joint_panels.flat_panels(own, laid, residuals.sample),
         )
-        if polar := joint_panels.polar_panels(own, laid):
+        if polar := joint_panels.polar_panels(own, laid, residuals.sample):
             yield view_picture("joints, round", f"{words}, as a polar plot{over}", polar)
     if residuals.kind is not None:
         flat, scale = maps.residuals(
@@ -169,13 +172,14 @@ def view_residuals(residuals: contents.Residuals, striking: Sequence[ResidualPro
     )
 
 
-def view_pattern(entry: Entry, model: Model) -> View | None:
-    """Draw the candidate's pattern over the residuals; None if it was not tested."""
+def view_pattern(entry: Entry, model: Model, shown: np.ndarray) -> View | None:
+    """Draw the candidate's pattern over the residuals of the samples whose numbers are `shown`;
+    None if it was not tested."""
     if entry.candidate.score is None:
         return None
     laid, mechanism = signature(entry.candidate), model.mechanism
     return view_picture(
         entry.name,
         signatures.describe_signature(laid, mechanism),
-        signatures.figure(laid, mechanism),
+        signatures.figure(laid, mechanism, shown),
     )

@@ -253,8 +253,9 @@ def _make_comparison_view(found: Comparison) -> View:
         tiles.append(floor)
     mechanism = found.model.mechanism
     units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
-    samples = contents.compared_samples(found)
-    residuals, shown = _select_shown(contents.Residuals.of(found.scene, found.field), samples)
+    residuals = contents.Residuals.of(found.scene, found.field)
+    residuals, shown = _select_shown(residuals, found.scene.sigmas)
+    samples = contents.compared_samples(found, residuals.sample)
     now = MachineStage("now", found.errors, found.errors.summary)
     return {
         "shown": shown,
@@ -333,7 +334,7 @@ def _make_report_view(found: Report) -> View:
     identified = contents.parameters(now)
     tested = [entry for entry in diagnosis.entries if entry.candidate.testable]
     erring = find_erring_parts(diagnosis.effects, found.parameters)
-    residuals, shown = _select_shown(found.residuals, found.samples)
+    residuals, shown = _select_shown(found.residuals, diagnosis.base.scene.sigmas)
     return _make_answers_view(diagnosis) | {
         "shown": shown,
         "budget": _budget(now.budgets[0]) if now.budgets else None,
@@ -351,7 +352,7 @@ def _make_report_view(found: Report) -> View:
         ],
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "names": _names(diagnosis.dataset.names),
-        "candidates": _list_candidates(diagnosis, tested),
+        "candidates": _list_candidates(diagnosis, tested, residuals.sample),
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if not e.candidate.testable
         ],
@@ -361,7 +362,9 @@ def _make_report_view(found: Report) -> View:
     }
 
 
-def _list_candidates(diagnosis: Diagnosis, tested: list[Entry]) -> list[dict[str, Any]]:
+def _list_candidates(
+    diagnosis: Diagnosis, tested: list[Entry], shown: np.ndarray
+) -> list[dict[str, Any]]:
     """The rows of the effects that were tested, with what the page shows of each besides."""
     rows = as_rows(tables.candidate_table(diagnosis, tested))["rows"]
     return [
@@ -369,7 +372,7 @@ def _list_candidates(diagnosis: Diagnosis, tested: list[Entry]) -> list[dict[str
         | {
             "found": entry.name in diagnosis.effects,
             "probable": entry.probable,
-            "pattern": view_pattern(entry, diagnosis.model),
+            "pattern": view_pattern(entry, diagnosis.model, shown),
         }
         for row, entry in zip(rows, tested, strict=True)
     ]
@@ -392,14 +395,15 @@ def _list_effects(model: Model) -> list[str]:
 
 
 def _select_shown(
-    residuals: contents.Residuals, samples: Sequence[contents.JudgedSample]
+    residuals: contents.Residuals, sigmas: np.ndarray
 ) -> tuple[contents.Residuals, str]:
-    """Select the samples that the page shows, and say which; `samples` has the worst first."""
+    """Select the samples that the page shows, and say which; `sigmas` (N,) are their sizes."""
     n = len(residuals.sample)
     if n <= MAX_SHOWN_SAMPLES:
         return residuals, ""
-    worst = [one.sample for one in samples[:MAX_WORST_SAMPLES]]
-    kept = np.isin(residuals.sample, worst)
+    worst = np.argsort(-sigmas, kind="stable")[:MAX_WORST_SAMPLES]
+    kept = np.zeros(n, dtype=bool)
+    kept[worst] = True
     others = np.flatnonzero(~kept)
     kept[others[select_evenly(len(others), MAX_SHOWN_SAMPLES - len(worst))]] = True
     words = (

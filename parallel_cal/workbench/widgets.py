@@ -94,6 +94,10 @@ CSS = f"""
 .q-header {{ padding: 4px 16px }}
 .q-footer {{ padding: 6px 16px; border-top: 1px solid #d0d7de }}
 .quiet {{ opacity: 0.75 }}
+/* Numbers without room beside the verdict wrap to a second line, which is not shown. */
+.judged {{ display: flex; flex-wrap: wrap; column-gap: 12px; height: 28px; overflow: hidden }}
+.judged > * {{ height: 28px }}
+.judged > .said {{ max-width: 100% }}
 .nicegui-content {{ padding: 12px 16px }}
 .first {{ display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 12px;
   width: 100%; align-items: stretch }}

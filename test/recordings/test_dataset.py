@@ -24,6 +24,7 @@ from bag_writing import (
 )
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.dwells import approach, still_intervals, still_tolerance
@@ -32,6 +33,7 @@ from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.recording import COORDINATES
 from parallel_cal.recordings.sampling import samples_of
+from parallel_cal.recordings.simulate import simulate
 from parallel_cal.reporting.blocks import as_text
 from parallel_cal.reporting.recorded import describe_info
 
@@ -779,3 +781,15 @@ def test_shipped_recordings_give_their_94_dwells_directions_and_replicates(name)
     together = dataset.pose_id[:, None] == dataset.pose_id
     np.testing.assert_array_equal(together, visited[:, None] == visited)
     assert dataset.replicate_noise().dof == (np.bincount(dataset.pose_id) > 1).sum() == 20
+
+
+def test_the_numbers_of_samples_are_made_once_and_cannot_be_changed():
+    model = new_model("delta24")
+    data = simulate(model, 6, 1).dataset()
+    part = data.excluding([2])
+    for one in (data, part):
+        assert one.numbers is one.numbers  # a list of 10^5 samples asks 10^5 times
+        with pytest.raises(ValueError, match="read-only"):
+            one.numbers[0] = 7
+    assert part.numbers.tolist() == [n for n in range(len(data)) if n != 2]
+    assert dataclasses.replace(part, q=part.q + 1).numbers.tolist() == part.numbers.tolist()

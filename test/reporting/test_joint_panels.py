@@ -13,7 +13,7 @@ from parallel_cal.diagnosis.signature import signature
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.posterior.scene import Scene
-from parallel_cal.reporting import joint_panels
+from parallel_cal.reporting import joint_panels, signatures
 from parallel_cal.reporting.contents import JointResiduals
 from parallel_cal.virtual import joint_effects as vj
 from parallel_cal.virtual import robot as vr
@@ -51,6 +51,28 @@ def test_a_panel_a_joint_shows_each_sample_at_its_reading_with_its_number(found)
     np.testing.assert_allclose(points["x"], np.degrees(found.readings[:, 1]), rtol=1e-4)
     np.testing.assert_allclose(points["y"], 1e3 * found.errors[:, 1], rtol=1e-4)
     assert points["customdata"] == found.sample.tolist()
+
+
+def test_points_of_a_part_of_the_samples_say_so_and_leave_the_means_of_all(found, scene, gear):
+    few = found.sample[5:40:5]
+    whole, drawn = joint_panels.flat_panels(found), joint_panels.flat_panels(found, shown=few)
+    name = f"measured (7 of {len(found.sample)})"
+    assert trace(drawn, name, mark="x3")["customdata"] == few.tolist()
+    mean = "mean of the measured"
+    assert trace(drawn, mark="x3", name=mean) == trace(whole, mark="x3", name=mean)
+    laid = signatures.figure(gear, scene.model.mechanism, few)
+    assert trace(laid, name, mark="x2")["customdata"] == few.tolist()
+
+
+def test_the_means_of_many_samples_of_a_joint_are_few(found, monkeypatch):
+    monkeypatch.setattr(joint_panels, "MAX_MEANS", 4)
+    order = np.argsort(found.readings[:, 0])
+    drawn = trace(joint_panels.flat_panels(found), "mean of the measured")
+    for values, factor, shown in (
+        (found.readings[order, 0], np.degrees(1), drawn["x"]),
+        (found.errors[order, 0], 1e3, drawn["y"]),
+    ):
+        np.testing.assert_allclose(shown, factor * values.reshape(4, -1).mean(axis=1), rtol=1e-3)
 
 
 def test_a_gears_ripple_is_laid_over_as_the_wave_that_it_is(found, gear):

@@ -175,7 +175,7 @@ def test_the_difference_of_two_predictions_is_that_of_their_positions_over_the_w
 def test_a_page_shows_a_limited_number_of_many_samples_with_the_worst_and_says_so(monkeypatch):
     from parallel_cal.diagnosis.comparison import compare
     from parallel_cal.recordings.loading import load_sessions
-    from parallel_cal.reporting.contents import compared_samples
+    from parallel_cal.reporting import contents
     from parallel_cal.workbench import views
 
     model = read_model(MODEL)
@@ -186,15 +186,25 @@ def test_a_page_shows_a_limited_number_of_many_samples_with_the_worst_and_says_s
 
     monkeypatch.setattr(views, "MAX_SHOWN_SAMPLES", 40)
     monkeypatch.setattr(views, "MAX_WORST_SAMPLES", 10)
+    listed, judged = [], contents.JudgedSample
+    monkeypatch.setattr(
+        contents, "JudgedSample", lambda **given: listed.append(given) or judged(**given)
+    )
     part = views._make_comparison_view(found)
+    assert len(listed) == 40  # not one object for each of 10^5 samples
     numbers = [row["sample"] for row in part["samples"]["rows"]]
-    worst = {one.sample for one in compared_samples(found)[:10]}
+    worst = {one.sample for one in contents.compared_samples(found)[:10]}
     assert worst < set(numbers)
     assert part["shown"].startswith("The views and the table show 40 of 94 samples: the 10 worst")
     assert min(numbers) < 10 < 84 < max(numbers)  # of the whole recording
     for values in (part["residuals"]["sigmas"], part["residuals"]["place"]):
         assert len(values) == 40
     assert part["field"]["numbers"] == numbers
+    assert part["machine"]["share"] == "40 of 94 samples"
+    assert "share" not in whole["machine"]
+    joints = next(one for one in part["pictures"] if one["name"] == "joints")["figure"]["data"]
+    points = [one for one in joints if one["name"] == "measured (40 of 94)"]
+    assert [one["customdata"] for one in points] == [numbers] * 3  # only these can be marked
     by_number = {row["sample"]: row for row in whole["samples"]["rows"]}
     assert [by_number[row["sample"]] for row in part["samples"]["rows"]] == (
         part["samples"]["rows"]
@@ -388,6 +398,23 @@ def open_page(browser, url):
     page.set_default_timeout(1000 * LONG)
     page.goto(url)
     return page
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize(("width", "is_shown"), [(780, False), (1280, True)])
+def test_the_numbers_of_the_header_are_beside_the_verdict_or_not_shown(page, width, is_shown):
+    page.set_viewport_size({"width": width, "height": 800})
+    page.wait_for_timeout(500)  # the page is laid out anew
+    place = page.locator(".judged").bounding_box()
+    chip, numbers = page.locator("#verdict .badge"), page.locator("#headline")
+    said, errors = chip.bounding_box(), numbers.bounding_box()
+    assert numbers.inner_text().count("±") == 3
+    assert said["x"] + said["width"] <= place["x"] + place["width"]
+    if is_shown:
+        assert said["x"] + said["width"] < errors["x"]
+        assert errors["y"] + errors["height"] <= place["y"] + place["height"]
+    else:
+        assert errors["y"] >= place["y"] + place["height"]  # on a line that is cut off
 
 
 @pytest.mark.wide
