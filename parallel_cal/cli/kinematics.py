@@ -257,7 +257,7 @@ def _print_solutions(
     if solutions.complete is not None:
         n, usable = solutions.solved.sum(), solutions.ok.sum()
         others = "" if solutions.complete else "; others may exist"
-        first = ", home branch first" if n > 1 else ""
+        first = ", home branch first" if n > 1 and solutions.solved[0] else ""
         console.say(
             f"{n} solution{'' if n == 1 else 's'} found{first}; {usable} within limits{others}"
         )
