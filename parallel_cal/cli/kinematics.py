@@ -62,8 +62,9 @@ Input = Annotated[
     Path | None,
     typer.Option(
         "--input",
-        help="CSV table; each row states the joint readings (direct) or the pose (inverse), in SI "
-        "units or in those of the header (leg1 [mm])",
+        help="CSV table; each row states the joint readings (direct) or the pose (inverse: x y z, "
+        "and qx qy qz qw or the rotation vector rx ry rz; coordinates that the robot does not "
+        "control may be absent), in SI units or in those of the header (leg1 [mm])",
     ),
 ]
 Output = Annotated[
