@@ -145,7 +145,8 @@ def direct_table(
     known = direct_covariances(model, found, conditions) if covariance else None
     names, values = (*POSITION, *QUATERNION), np.hstack([found.position, found.quaternion])
     explained = explained_residuals(model, found, conditions)
-    text = _text(table.table, names, values, found, POSE, known, explained)
+    more = {} if explained is None else {"explained_residual": explained}
+    text = _text(table.table, names, values, found, POSE, known, more)
     return Answer(text, found, known, conditions, explained)
 
 
@@ -182,7 +183,6 @@ def inverse_table(
         some = inverse(model, r[good], turned, select_rows(conditions, good), solver=solver)
         found = _insert_solutions(found, some, good)
     known = inverse_covariances(model, found, conditions) if covariance else None
-    text = _text(table.table, model.joints, found.joints, found, model.joints, known)
     # A coordinate without a column was not asked for: that of the solution is no difference.
     asked = np.hstack([found.position, rotation_vector(found.rotation)])
     asked[:, given] = pose[:, given]
@@ -190,6 +190,8 @@ def inverse_table(
         R = rotation_matrix(asked[:, 3:])
     has_places = bool({*POSITION} & {*table.header})
     differences = Differences.of(found, asked[:, :3] if has_places else None, R)
+    more = {f"{kind}_difference": size for kind, size in differences.uncontrolled(m).items()}
+    text = _text(table.table, model.joints, found.joints, found, model.joints, known, more)
     return Answer(text, found, known, conditions, differences=differences)
 
 
@@ -246,11 +248,10 @@ def _text(
     found: Solutions,
     uncertain: Sequence[str],
     covariances: np.ndarray | None,
-    explained: np.ndarray | None = None,
+    more: Mapping[str, np.ndarray],
 ) -> str:
     """Format the given cells, the solution, the standard deviations of the `uncertain` numbers
-    (`sigma.x`) and the explained residual (m) if they are known, the residual (m) and the status as
-    CSV.
+    (`sigma.x`) if they are known, `more` columns (N,), the residual (m) and the status as CSV.
 
     A row that is not solved keeps its cells.
     """
@@ -258,9 +259,7 @@ def _text(
         names = [*names, *(f"sigma.{name}" for name in uncertain)]
         variances = np.diagonal(covariances, axis1=1, axis2=2)
         values = np.hstack([values, np.sqrt(variances)])
-    if explained is not None:
-        names = [*names, "explained_residual"]
-        values = np.column_stack([values, explained])
+    names, values = [*names, *more], np.column_stack([values, *more.values()])
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*table.header, *names, "residual", "status"])

@@ -14,12 +14,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
+import chains
 import numpy as np
 import pytest
 from typer import Typer
 
 from parallel_cal import __version__
 from parallel_cal.base.options import option
+from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.cli import main as cli
 from parallel_cal.cli.arguments import with_options
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -402,6 +404,33 @@ def test_a_height_that_a_plane_robot_does_not_have_is_said_with_its_size(run, tm
     sizes = [row["position_difference"] for row in json.loads(out)["solutions"]]
     assert (code, sizes) == (0, pytest.approx([0, 0.002, 0.003], abs=1e-9))
     assert f"{expected}in 2 of 3 rows, most in row 3: the solution is 3 mm from" in err
+    run("inverse", robot, "--input", table, "--output", tmp_path / "joints.csv")
+    written = [float(row["position_difference"]) for row in rows(tmp_path / "joints.csv")]
+    assert written == pytest.approx(sizes, abs=1e-12)
+
+
+def test_a_table_tells_in_which_rows_another_reading_has_the_controlled_coordinate(run, tmp_path):
+    """The foot of an ankle has each x at two pitches. A robot that controls all has no column."""
+    robot, table = tmp_path / "foot.yaml", tmp_path / "poses.csv"
+    target = [0.14, 0.0, -0.035]
+    write_model(
+        chains.make_chain(chains.ankle() | {"target": target, "controls": ["x", "y"]}), robot
+    )
+    pitches = np.array([0.1, -0.4])  # before and beyond the maximum of x at -0.245 rad
+    poses = [rotation_matrix(np.array([0.0, pitch, 0.0])) @ target for pitch in pitches]
+    text = "\n".join(",".join(map(repr, pose.tolist())) for pose in poses)
+    table.write_text(f"x,y,z\n{text}\n")
+    run("inverse", robot, "--input", table, "--output", tmp_path / "joints.csv")
+    near, mirrored = (float(row["position_difference"]) for row in rows(tmp_path / "joints.csv"))
+    assert near < 1e-9
+    assert mirrored > 0.01
+    assert "orientation_difference" not in rows(tmp_path / "joints.csv")[0]
+    whole = tmp_path / "whole.csv"
+    whole.write_text("x,y,z,qx,qy,qz,qw\n0,0,0.3,0,0,0,1\n")
+    write_model(new_model("stewart42"), robot)
+    assert (
+        run("inverse", robot, "--input", whole)[1].splitlines()[0].endswith("leg6,residual,status")
+    )
 
 
 def test_numbers_may_be_negative_in_exponents_and_with_commas_and_options_may_come_first(document):
