@@ -62,8 +62,9 @@ Input = Annotated[
     Path | None,
     typer.Option(
         "--input",
-        help="CSV table; each row states the joint readings (direct) or the pose (inverse), in SI "
-        "units or in those of the header (leg1 [mm])",
+        help="CSV table; each row states the joint readings (direct) or the pose (inverse: x y z, "
+        "and qx qy qz qw or the rotation vector rx ry rz; coordinates that the robot does not "
+        "control may be absent), in SI units or in those of the header (leg1 [mm])",
     ),
 ]
 Output = Annotated[
@@ -257,7 +258,7 @@ def _print_solutions(
     if solutions.complete is not None:
         n, usable = solutions.solved.sum(), solutions.ok.sum()
         others = "" if solutions.complete else "; others may exist"
-        first = ", home branch first" if n > 1 else ""
+        first = ", home branch first" if n > 1 and solutions.solved[0] else ""
         console.say(
             f"{n} solution{'' if n == 1 else 's'} found{first}; {usable} within limits{others}"
         )

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from parallel_cal.base.errors import ModelError, SolveError
-from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 from parallel_cal.base.units import CONDITION_UNITS, UNITS
 from parallel_cal.kinematics.answers import (
     Differences,
@@ -28,12 +28,13 @@ from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.kinematics.solutions import replace_rows
 from parallel_cal.kinematics.solving import Conditions, direct, inverse
 from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.model.mechanism import POSE
+from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.columns import si_unit
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 
 POSITION = ("x", "y", "z")
+TURNS = ("rx", "ry", "rz")
 QUATERNION = ("qx", "qy", "qz", "qw")
 
 
@@ -144,29 +145,36 @@ def direct_table(
     known = direct_covariances(model, found, conditions) if covariance else None
     names, values = (*POSITION, *QUATERNION), np.hstack([found.position, found.quaternion])
     explained = explained_residuals(model, found, conditions)
-    text = _text(table.table, names, values, found, POSE, known, explained)
+    more = {} if explained is None else {"explained_residual": explained}
+    text = _text(table.table, names, values, found, POSE, known, more)
     return Answer(text, found, known, conditions, explained)
 
 
 def inverse_table(
     model: Model, path: Path, at: Conditions, solver: str, covariance: bool = False
 ) -> Answer:
-    """Solve a table of positions, orientations or both, according to header and mechanism."""
-    table = _SiTable.of(read_table(path), model, dict.fromkeys(POSITION, "m"))
-    header = {*table.header}
-    has_turns = bool(header & {*QUATERNION}) or not {*model.mechanism.controls} & {*POSITION}
-    has_places = bool(header & {*POSITION}) or not has_turns
-    wanted = (*(POSITION if has_places else ()), *(QUATERNION if has_turns else ()))
-    table.check(wanted, model.conditions, model)
-    n = len(table.table.rows)
-    r = np.tile(model.mechanism.home.position, (n, 1))
-    if "x" in table.header:
-        r = table.columns(POSITION)
-    R = None
+    """Solve a table of positions, orientations or both, according to header and mechanism.
+
+    Orientations are quaternions or rotation vectors (`rx`, `ry`, `rz`). Coordinates that the robot
+    does not control need no column.
+    """
+    m = model.mechanism
+    units = {name: "m" if name in POSITION else "rad" for name in POSE}
+    table = _SiTable.of(read_table(path), model, units)
+    given = [i for i, name in enumerate(POSE) if name in table.header]
+    wanted, optional = _pose_columns(m, {*table.header})
+    table.check(wanted, [*optional, *model.conditions], model)
+    n, home = len(table.table.rows), np.array([*m.home.position, *m.home.rotation_vector])
+    pose = np.tile(home, (n, 1))
+    if given:
+        pose[:, given] = table.columns([POSE[i] for i in given])
+    r, R = pose[:, :3], None
     if "qw" in table.header:
         q = table.columns(QUATERNION)
         q[np.linalg.norm(q, axis=1) < 1e-9] = np.nan  # no rotation: the row gets a status
         R = quaternion_to_matrix(q)
+    elif any(i >= 3 for i in given):
+        R = rotation_matrix(pose[:, 3:])
     conditions = _conditions(model, table, at)
     good = _find_finite_rows(r if R is None else np.hstack([r, R.reshape(n, 9)]), conditions)
     found = _make_invalid_solutions(model, good)
@@ -175,9 +183,31 @@ def inverse_table(
         some = inverse(model, r[good], turned, select_rows(conditions, good), solver=solver)
         found = _insert_solutions(found, some, good)
     known = inverse_covariances(model, found, conditions) if covariance else None
-    text = _text(table.table, model.joints, found.joints, found, model.joints, known)
-    differences = Differences.of(found, r if "x" in table.header else None, R)
+    # A coordinate without a column was not asked for: that of the solution is no difference.
+    asked = np.hstack([found.position, rotation_vector(found.rotation)])
+    asked[:, given] = pose[:, given]
+    if R is not None and "qw" not in table.header:
+        R = rotation_matrix(asked[:, 3:])
+    has_places = bool({*POSITION} & {*table.header})
+    differences = Differences.of(found, asked[:, :3] if has_places else None, R)
+    more = {f"{kind}_difference": size for kind, size in differences.uncontrolled(m).items()}
+    text = _text(table.table, model.joints, found.joints, found, model.joints, known, more)
     return Answer(text, found, known, conditions, differences=differences)
+
+
+def _pose_columns(m: Mechanism, header: set[str]) -> tuple[list[str], list[str]]:
+    """Return the columns of the pose that a table with this header must have, and those that it may
+    have."""
+    has_quaternion = bool(header & {*QUATERNION})
+    has_vector = bool(header & {*TURNS}) and not has_quaternion
+    has_turns = has_quaternion or has_vector or not {*m.controls} & {*POSITION}
+    has_places = bool(header & {*POSITION}) or not has_turns
+    names = (POSITION if has_places else ()) + (TURNS if has_vector else ())
+    wanted = [name for name in names if name in m.controls]
+    optional = [name for name in names if name not in m.controls]
+    if has_turns and not has_vector:
+        wanted += QUATERNION
+    return wanted, optional
 
 
 def _find_finite_rows(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:
@@ -218,11 +248,10 @@ def _text(
     found: Solutions,
     uncertain: Sequence[str],
     covariances: np.ndarray | None,
-    explained: np.ndarray | None = None,
+    more: Mapping[str, np.ndarray],
 ) -> str:
     """Format the given cells, the solution, the standard deviations of the `uncertain` numbers
-    (`sigma.x`) and the explained residual (m) if they are known, the residual (m) and the status as
-    CSV.
+    (`sigma.x`) if they are known, `more` columns (N,), the residual (m) and the status as CSV.
 
     A row that is not solved keeps its cells.
     """
@@ -230,9 +259,7 @@ def _text(
         names = [*names, *(f"sigma.{name}" for name in uncertain)]
         variances = np.diagonal(covariances, axis1=1, axis2=2)
         values = np.hstack([values, np.sqrt(variances)])
-    if explained is not None:
-        names = [*names, "explained_residual"]
-        values = np.column_stack([values, explained])
+    names, values = [*names, *more], np.column_stack([values, *more.values()])
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*table.header, *names, "residual", "status"])

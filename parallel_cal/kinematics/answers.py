@@ -130,6 +130,7 @@ def describe_disagreement(found: Solutions, explained: np.ndarray | None) -> str
 
 # m or rad; more than the rounding of a pose that the command line printed.
 MAX_ROUNDED = 1e-6
+KINDS = {"position": POSE[:3], "orientation": POSE[3:]}
 
 
 @dataclass(frozen=True)
@@ -157,16 +158,22 @@ class Differences:
         r, R = self.position, self.orientation
         return Differences(None if r is None else r[:1], None if R is None else R[:1])
 
+    def uncontrolled(self, mechanism: Mechanism) -> dict[str, np.ndarray]:
+        """Return the differences of a kind, `position` or `orientation`, of which the robot does
+        not control every coordinate."""
+        kinds = {"position": self.position, "orientation": self.orientation}
+        return {
+            kind: size
+            for kind, size in kinds.items()
+            if size is not None and not {*KINDS[kind]} <= {*mechanism.controls}
+        }
+
     def describe(self, mechanism: Mechanism) -> Iterator[str]:
         """Describe what the solutions do not meet, a sentence for position and orientation each."""
-        parts = (
-            ("position", self.position, POSE[:3], 1e3, "mm"),
-            ("orientation", self.orientation, POSE[3:], 1 / DEGREE, "deg"),
-        )
-        for kind, size, names, factor, unit in parts:
+        units = {"position": (1e3, "mm"), "orientation": (1 / DEGREE, "deg")}
+        for kind, size in self.uncontrolled(mechanism).items():
+            (factor, unit), names = units[kind], KINDS[kind]
             free = [name for name in names if name not in mechanism.controls]
-            if size is None or not free:
-                continue
             with np.errstate(invalid="ignore"):
                 off = np.flatnonzero(size > MAX_ROUNDED)
             if not len(off):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -128,38 +127,35 @@ def solve_on_home_branch(
     at: Mapping[str, Any] | None,
     every: Callable[[Model, np.ndarray, Mapping[str, Any] | None], Solutions],
 ) -> Solutions:
-    """Return the first solution of `every` for joints (nq,) or (N, nq); unreachable if none.
-
-    `every` begins with what Newton's method returns, also if that is on another branch.
-    """
+    """Return the first solution of `every` for joints (nq,) or (N, nq); unreachable if none."""
     q = np.asarray(q, dtype=float)
     if q.ndim == 1:
         found = every(model, q, at) if np.isfinite(q).all() else None
-        if not found:
-            return make_unsolved(model, q=q)
-        if get_kinematics(model).direct(q, at).status != Status.OTHER_BRANCH:
-            return found[0]
-        return replace(found[0], status=np.array(Status.OTHER_BRANCH, dtype=np.int8))
+        return found[0] if found else make_unsolved(model, q=q)
     rows = [
         solve_on_home_branch(model, row, select_conditions(at, i), every) for i, row in enumerate(q)
     ]
     return stack_solutions(rows)
 
 
-def order_from_home(model: Model, poses: Solutions, at: Mapping[str, Any] | None) -> np.ndarray:
-    """Order all poses of one set of joints by their distance from the pose on the home branch.
+def order_from_home(model: Model, poses: Solutions, at: Mapping[str, Any] | None) -> Solutions:
+    """Order all poses of one set of joints by their distance from what Newton's method answers,
+    whose status the first one has if that is on another branch than home.
 
     The distance from home would not do: far from home another assembly mode may be nearer to it.
     """
     if len(poses) == 0:
-        return np.arange(0)
+        return poses
     branch, home = get_kinematics(model).direct(poses.joints[0], at), model.mechanism.home
     r, R = branch.position, branch.rotation
     if branch.status == Status.UNREACHABLE:
         r, R = np.array(home.position), quaternion_to_matrix(home.quaternion)
     turned = rotation_vector(poses.rotation @ R.T)
     apart = np.concatenate([poses.position - r, model.mechanism.length * turned], 1)
-    return np.argsort(np.linalg.norm(apart, axis=1))
+    poses = poses[np.argsort(np.linalg.norm(apart, axis=1))]
+    if branch.status == Status.OTHER_BRANCH:
+        poses.status[0] = Status.OTHER_BRANCH
+    return poses
 
 
 def select_conditions(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | None:

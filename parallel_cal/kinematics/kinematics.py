@@ -308,10 +308,10 @@ class Kinematics:
         if not problem.splits_turns:
             return found
 
-        def iterate(turned: np.ndarray, some: np.ndarray) -> Solutions:
-            again = problem.begin(turned, found[some])
+        def iterate(some: np.ndarray, last: Solutions) -> Solutions:
+            again = problem.begin(given[some], last)
             reached = problem.refine(again, rows[some])
-            return self._classify(problem, turned, rows[some], reached, again, True)
+            return self._classify(problem, again, rows[some], reached, again, True)
 
         return restore_turn(self.model.mechanism, given, found, iterate)
 

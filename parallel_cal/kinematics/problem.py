@@ -15,7 +15,7 @@ from parallel_cal.kinematics.solutions import (
     Solutions,
     Status,
 )
-from parallel_cal.kinematics.split_turns import splits_turns
+from parallel_cal.kinematics.split_turns import splits_turns, turn_towards
 from parallel_cal.kinematics.start import begins_at_home, path_home, start_function
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
@@ -83,17 +83,22 @@ class Problem:
 
     def begin_from(self, given: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Copy `given`, with the unknown coordinates taken from the configurations `start`."""
-        return np.where(self._is_unknown, start, given)
+        x = np.where(self._is_unknown, start, given)
+        if self.unknown_joints:
+            turns, shape = slice(self._n + 3, self._n + 12), (*x.shape[:-1], 3, 3)
+            R, begin = (rows[..., turns].reshape(shape) for rows in (x, start))
+            R = turn_towards(self.model.mechanism, R, begin)
+            x[..., turns] = R.reshape(x[..., turns].shape)
+        return x
 
     @cached_property
     def _is_unknown(self) -> np.ndarray:
-        """Which entries (nq + 12 + nu,) of a configuration are unknown."""
+        """Which entries (nq + 12 + nu,) of a configuration are unknown, the rotation of `inverse`
+        aside."""
         m = self.model.mechanism
-        unknown = range(6) if not self.unknown_joints else m.parasitic
-        # A rotation of which some coordinates are given stays the given one.
-        joints, turned = [self.unknown_joints] * self._n, {3, 4, 5} <= {*unknown}
-        passive = [True] * len(m.passive)
-        return np.array([*joints, *(i in unknown for i in range(3)), *[turned] * 9, *passive])
+        joints, passive = [self.unknown_joints] * self._n, [True] * len(m.passive)
+        pose = [i in m.parasitic for i in range(3)] + [False] * 9
+        return np.array([*joints, *(pose if self.unknown_joints else [True] * 12), *passive])
 
     def start(self, given: np.ndarray) -> np.ndarray:
         """Copy one configuration, with the unknown coordinates where `solve_many` begins."""

@@ -14,12 +14,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
+import chains
 import numpy as np
 import pytest
 from typer import Typer
 
 from parallel_cal import __version__
 from parallel_cal.base.options import option
+from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.cli import main as cli
 from parallel_cal.cli.arguments import with_options
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -402,6 +404,33 @@ def test_a_height_that_a_plane_robot_does_not_have_is_said_with_its_size(run, tm
     sizes = [row["position_difference"] for row in json.loads(out)["solutions"]]
     assert (code, sizes) == (0, pytest.approx([0, 0.002, 0.003], abs=1e-9))
     assert f"{expected}in 2 of 3 rows, most in row 3: the solution is 3 mm from" in err
+    run("inverse", robot, "--input", table, "--output", tmp_path / "joints.csv")
+    written = [float(row["position_difference"]) for row in rows(tmp_path / "joints.csv")]
+    assert written == pytest.approx(sizes, abs=1e-12)
+
+
+def test_a_table_tells_in_which_rows_another_reading_has_the_controlled_coordinate(run, tmp_path):
+    """The foot of an ankle has each x at two pitches. A robot that controls all has no column."""
+    robot, table = tmp_path / "foot.yaml", tmp_path / "poses.csv"
+    target = [0.14, 0.0, -0.035]
+    write_model(
+        chains.make_chain(chains.ankle() | {"target": target, "controls": ["x", "y"]}), robot
+    )
+    pitches = np.array([0.1, -0.4])  # before and beyond the maximum of x at -0.245 rad
+    poses = [rotation_matrix(np.array([0.0, pitch, 0.0])) @ target for pitch in pitches]
+    text = "\n".join(",".join(map(repr, pose.tolist())) for pose in poses)
+    table.write_text(f"x,y,z\n{text}\n")
+    run("inverse", robot, "--input", table, "--output", tmp_path / "joints.csv")
+    near, mirrored = (float(row["position_difference"]) for row in rows(tmp_path / "joints.csv"))
+    assert near < 1e-9
+    assert mirrored > 0.01
+    assert "orientation_difference" not in rows(tmp_path / "joints.csv")[0]
+    whole = tmp_path / "whole.csv"
+    whole.write_text("x,y,z,qx,qy,qz,qw\n0,0,0.3,0,0,0,1\n")
+    write_model(new_model("stewart42"), robot)
+    assert (
+        run("inverse", robot, "--input", whole)[1].splitlines()[0].endswith("leg6,residual,status")
+    )
 
 
 def test_numbers_may_be_negative_in_exponents_and_with_commas_and_options_may_come_first(document):
@@ -532,6 +561,56 @@ def test_a_table_of_poses_gives_a_table_of_joints_with_every_solver(document, tm
         statuses = [s["status"] for s in found["solutions"]]
         assert statuses == ["converged", "unreachable", "invalid_input"]
         assert found["solutions"][0]["position"] == [0, 0, 0.2]
+
+
+POSES_OF_TABLES = {  # mechanism: the controlled coordinates of a pose, and the same pose in full
+    "five_bar": ("x [mm],y\n10,0.2\n", "x,y,z\n0.01,0.2,0\n"),
+    "five_bar with a turn": ("x,y,rz\n0.01,0.2,0\n", "x,y,z,qx,qy,qz,qw\n0.01,0.2,0,0,0,0,1\n"),
+    "quattro": ("x,y,z,rz [deg]\n0.01,0.02,0,20\n", "x,y,z,qx,qy,qz,qw\n0.01,0.02,0,0,0,{},{}\n"),
+    "ankle_2rsu": ("rx,ry\n0.2,0\n", "qx,qy,qz,qw\n{},0,0,{}\n"),
+}
+
+
+@pytest.mark.parametrize("name", POSES_OF_TABLES)
+def test_a_table_of_poses_needs_the_controlled_coordinates_only(name, run, document, tmp_path):
+    model = new_model(name.split()[0])
+    write_model(model, tmp_path / "m.yaml")
+    half = np.radians(10) if name == "quattro" else 0.1
+    short, full = POSES_OF_TABLES[name]
+    full = full.format(np.sin(half), np.cos(half))
+    height = model.mechanism.home.position[2]
+    for file, text in (("short.csv", short), ("full.csv", full)):
+        (tmp_path / file).write_text(text.replace(",0.02,0,", f",0.02,{height},"))
+    one, other = (
+        document("inverse", tmp_path / "m.yaml", "--input", tmp_path / file)["solutions"][0]
+        for file in ("short.csv", "full.csv")
+    )
+    assert one["status"] == other["status"] == "converged"
+    assert one["joints"] == pytest.approx(other["joints"], abs=1e-12)
+    code, _, err = run("inverse", tmp_path / "m.yaml", "--input", tmp_path / "short.csv")
+    assert (code, "does not control" in err) == (0, False)
+
+
+def test_a_coordinate_that_follows_is_compared_where_the_table_has_it_only(document, tmp_path):
+    """x, y and rz of a plate on three cranks follow; x was asked, off by 1 mm."""
+    model = new_model("plate_rrs")
+    write_model(model, tmp_path / "m.yaml")
+    z = model.mechanism.home.position[2]
+    (tmp_path / "p.csv").write_text(f"z,rx,ry\n{z},0.1,0.05\n")
+    (here,) = document("inverse", tmp_path / "m.yaml", "--input", tmp_path / "p.csv")["solutions"]
+    assert here["position_difference"] < 1e-9
+    assert here["orientation_difference"] < 1e-9
+    (tmp_path / "p.csv").write_text(f"z,x,rx,ry\n{z},{here['position'][0] + 1e-3},0.1,0.05\n")
+    (off,) = document("inverse", tmp_path / "m.yaml", "--input", tmp_path / "p.csv")["solutions"]
+    assert off["position_difference"] == pytest.approx(1e-3, abs=1e-9)
+    assert off["joints"] == pytest.approx(here["joints"], abs=1e-12)
+
+
+def test_a_controlled_coordinate_without_a_column_is_an_error(run, tmp_path):
+    write_model(new_model("five_bar"), tmp_path / "m.yaml")
+    (tmp_path / "p.csv").write_text("x,z\n0,0\n")
+    result = run("inverse", tmp_path / "m.yaml", "--input", tmp_path / "p.csv")
+    fails(result, "header 'x,z'; expected the columns x,y (and may have z)")
 
 
 def test_a_table_may_carry_conditions(document, tmp_path):

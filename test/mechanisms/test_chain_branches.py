@@ -5,6 +5,7 @@ The linkages are written here a second time, from their points alone.
 
 import ctypes
 import subprocess
+from types import SimpleNamespace
 
 import chains
 import numpy as np
@@ -15,8 +16,11 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import parallel_cal as pc
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.exporting.export import export
+from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Status
+from parallel_cal.kinematics.split_turns import turn_towards
 
 # ------------------------------------------------------------------ cranks that turn around
 
@@ -107,6 +111,100 @@ def test_no_readings_are_an_answer_for_a_knee_beyond_its_toggle():
     np.testing.assert_allclose(again.position, before.position, atol=1e-9)
 
 
+def test_the_first_of_all_solutions_is_the_one_without_a_search():
+    """Beyond its toggle it was a reading of the other side, called converged."""
+    model = make_chain(chains.knee())
+    line = brentq(toggle, 0.7, 1.0)
+    r, R = bent(line - 0.2)
+    alone = pc.Kinematics(model).inverse(r[0], R[0])
+    every = inverse_all(model, r[0], R[0])
+    assert alone.status == every.status[0] == Status.OTHER_BRANCH
+    np.testing.assert_allclose(every.joints[0], alone.joints, atol=1e-9)
+
+
+# ------------------------------------------------------------------ a platform that must turn
+
+AXES, BAR, LINK, SIDES_OF_ELBOWS = np.array([[-0.05, 0.0], [0.05, 0.0]]), 0.1, 0.15, (1, -1)
+
+
+def turning_five_bar(moves):
+    """The five-bar of `chains`, without limits of its cranks."""
+    options = chains.five_bar() | {"moves": moves, "controls": ["x", "y"]}
+    for joint in options["joints"]:
+        joint.pop("limits", None)
+    return options
+
+
+def cross(one, other):
+    return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+
+
+def crank_angles(points):
+    """Angles (N, 2) of both cranks of `chains.five_bar` for points (N, 2), in the mode of home, and
+    how far (N,) each point is from a singularity: the smallest sine between its links."""
+    angles, sines, rods = [], [], []
+    for axis, side in zip(AXES, SIDES_OF_ELBOWS, strict=True):
+        away = points - axis
+        distance = np.hypot(*away.T)
+        cosine = (BAR**2 + distance**2 - LINK**2) / (2 * BAR * distance)
+        angle = np.arctan2(away[:, 1], away[:, 0]) + side * np.arccos(np.clip(cosine, -1, 1))
+        crank = np.column_stack([np.cos(angle), np.sin(angle)])
+        rods.append((away - BAR * crank) / LINK)
+        angles.append(angle)
+        sines.append(np.where(np.abs(cosine) < 1, side * cross(rods[-1], crank), 0.0))
+    return np.column_stack(angles), np.min([*sines, cross(*rods)], axis=0)
+
+
+def walk_five_bar(points, home, steps=200):
+    """Angles (N, 2) to which a straight path from home leads, and which paths are regular."""
+    angles, room = crank_angles(home[None])
+    for share in np.linspace(0, 1, steps + 1)[1:]:
+        q, here = crank_angles(home + share * (points - home))
+        room = np.minimum(room, here)
+        angles = angles + (q - angles + np.pi) % (2 * np.pi) - np.pi
+    return angles, room > 0.02
+
+
+@pytest.mark.parametrize("moves", [["x", "y"], ["x", "y", "rz"]])
+def test_a_pose_to_which_home_leads_is_answered_whether_or_not_the_platform_turns(moves):
+    """6 of 294 were `other_branch`: each step of a path began with the rotation of home."""
+    model = make_chain(turning_five_bar(moves))
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (1500, 2))
+    angles, regular = walk_five_bar(points, np.array(model.mechanism.home.position[:2]))
+    assert regular.sum() > 280
+    found = pc.Kinematics(model).inverse(np.pad(points[regular], ((0, 0), (0, 1))))
+    assert found.ok.all()
+    off = np.angle(np.exp(1j * (found.joints - angles[regular])))
+    np.testing.assert_allclose(off, 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize(("controls", "free"), [("rx ry", 2), ("rx", 0), ("rz", 1)])
+def test_a_start_turns_a_pose_only_as_the_robot_may(controls, free):
+    """Of one turn that follows, only the angle about its axis is that of the start."""
+    rng = np.random.default_rng(2)
+    given, start = (rotation_matrix(rng.uniform(-1, 1, (5, 3))) for _ in range(2))
+    mechanism = SimpleNamespace(
+        controlled=[3 + "xyz".index(name[1]) for name in controls.split()],
+        parasitic=[i for i in (3, 4, 5) if f"r{'xyz'[i - 3]}" not in controls.split()],
+    )
+    turned = turn_towards(mechanism, given, start)
+    if len(mechanism.parasitic) == 1:
+        w = rotation_vector(turned @ given.swapaxes(1, 2))
+        np.testing.assert_allclose(np.delete(w, free, axis=1), 0.0, atol=1e-12)
+        gap = np.linalg.norm(rotation_vector(start @ turned.swapaxes(1, 2)), axis=1)
+        for step in (1e-3, -1e-3):
+            other = rotation_matrix(step * np.eye(3)[free]) @ turned
+            assert (
+                np.linalg.norm(rotation_vector(start @ other.swapaxes(1, 2)), axis=1) > gap
+            ).all()
+    else:
+        axes = mechanism.controlled[0] - 3
+        w, asked, begin = (rotation_vector(R) for R in (turned, given, start))
+        np.testing.assert_allclose(w[:, axes], asked[:, axes], atol=1e-12)
+        rest = np.delete(w, axes, axis=1)
+        np.testing.assert_allclose(rest, np.delete(begin, axes, axis=1), atol=1e-12)
+
+
 # ------------------------------------------------------------------ home next to a dead point
 
 
@@ -178,9 +276,10 @@ def test_a_search_ends_soon_where_nothing_is_to_be_found():
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("name", ["ankle", "knee", "four_bar"])
+@pytest.mark.parametrize("name", ["ankle", "knee", "four_bar", "five_bar"])
 def test_exported_c_answers_the_same_far_from_home(name, tmp_path):
     made = {"ankle": shelf.ankle_2rsu, "knee": chains.knee, "four_bar": lambda: four_bar(0.0)}
+    made["five_bar"] = lambda: turning_five_bar(["x", "y", "rz"])
     model = make_chain(made[name]())
     export(model, "c:poses=20,name=robot", tmp_path)
     words = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-O0", "-shared", "-fPIC"]
@@ -192,6 +291,9 @@ def test_exported_c_answers_the_same_far_from_home(name, tmp_path):
     poses = solver.direct(readings)
     if name == "knee":
         r, R = bent(np.linspace(0.3, 2.1, 60))
+    elif name == "five_bar":
+        r = np.pad(np.random.default_rng(0).uniform(-0.25, 0.25, (200, 2)), ((0, 0), (0, 1)))
+        R = np.tile(np.eye(3), (len(r), 1, 1))
     else:
         r, R = poses.position[poses.solved], poses.rotation[poses.solved]
 

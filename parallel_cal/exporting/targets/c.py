@@ -40,7 +40,7 @@ from parallel_cal.kinematics.solutions import (
     MIN_REGULAR_SINGULAR_VALUE,
     SUSPECT_PIVOT,
 )
-from parallel_cal.kinematics.split_turns import splits_turns
+from parallel_cal.kinematics.split_turns import free_turn, splits_turns
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.mechanism import Mechanism, poses_in_workspace
@@ -181,8 +181,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "length": m.length,
         "amplitude": PATH_AMPLITUDE * m.length,
         "generated": _generate_functions(model, newton),
-        "given": _lines(_generate_copy("given", "", m.controlled)),
-        "passive": _lines(_generate_start(m), 8),
+        "given": _lines(_generate_copy(m.controlled)),
     }
     for problem in PROBLEMS:
         words |= _problem_words(model, problem)
@@ -200,7 +199,7 @@ def _problem_words(model: Model, problem: str) -> dict[str, Any]:
         f"n_{problem}": len(u),
         f"given_{problem}": _list(g),
         f"g_{problem}": len(g),
-        f"turns_{problem}": int(problem == "direct" or {n + 3, n + 4, n + 5} <= {*u}),
+        f"turns_{problem}": 3 if problem == "direct" else free_turn(model.mechanism),
         f"constants_{problem}": functions.iteration.n_constants,
         f"home_sign_{problem}": int(functions.home_sign),
         f"at_home_{problem}": int(split.begins_at_home),
@@ -236,21 +235,12 @@ def _name_member(condition: str) -> str:
     return kind if CONDITIONS[kind][2] else condition.replace(".", "_")
 
 
-def _generate_copy(to: str, source: str, coordinates: list[int]) -> list[str]:
+def _generate_copy(coordinates: list[int]) -> list[str]:
     """Generate C that copies coordinates of a pose; a rotation is copied as a whole."""
-    lines = [f"{to}[NQ + {i}] = {source}position[{i}];" for i in coordinates if i < 3]
+    lines = [f"given[NQ + {i}] = position[{i}];" for i in coordinates if i < 3]
     if any(i >= 3 for i in coordinates):
-        lines.append(f"memcpy({to} + NQ + 3, {source}rotation, 9 * sizeof *{to});")
+        lines.append("memcpy(given + NQ + 3, rotation, 9 * sizeof *given);")
     return lines
-
-
-def _generate_start(m: Mechanism) -> list[str]:
-    """Generate C that copies from a start what inverse kinematics answers besides the joints; a
-    rotation of which a part is given stays the given one."""
-    turns = {3, 4, 5} <= {*m.parasitic}
-    lines = _generate_copy("x", "start->", [i for i in m.parasitic if i < 3 or turns])
-    copied = "memcpy(x + NQ + 12, start->passive, NU * sizeof *x);"
-    return [*lines, *([copied] if m.passive else [])]
 
 
 def _condition_words(model: Model, robot: str) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def direct(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
 def direct_all(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
     """Find the candidate poses of joints (nq,) that are exact, the home branch first."""
     found = _select_exact(model, pose_candidates(model, q), at, "direct")
-    return replace(found[order_from_home(model, found, at)], complete=found.complete)
+    return replace(order_from_home(model, found, at), complete=found.complete)
 
 
 def inverse(

@@ -45,7 +45,7 @@ def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -
         return replace(found, real=replace(found.real, joints=np.empty((0, len(q)))))
     start = replace(found.real, joints=np.tile(q, (m, 1)))
     real = get_kinematics(model).direct(start.joints, at, start, keep_branch=True)
-    return replace(found, real=real[order_from_home(model, real, at)])
+    return replace(found, real=order_from_home(model, real, at))
 
 
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:

@@ -54,7 +54,7 @@ def inverse(
 def direct_all(
     model: Model, q: np.ndarray, at: At | None = None, starts: int = STARTS
 ) -> Solutions:
-    """Search all distinct poses for joints (nq,); the home branch comes first.
+    """Search all distinct poses for joints (nq,), first what `direct` answers.
 
     The search begins at the mechanism's candidates and, unless these are known to be all solutions,
     at random `starts`.
@@ -109,9 +109,10 @@ class _Search:
             more = self._solve_from(self._search_randomly(starts))
             # Omit singular ones: a robot that can move with locked joints has infinitely many.
             known = concatenate_solutions([known, more[more.status != Status.SINGULAR]])
-        found = known[known.solved]
-        found = found[self._distinct(found.configuration.rows)]
-        return replace(found if len(found) else first, complete=complete)
+        kept = known.solved
+        kept[0] = True  # what is answered without the search, with its status
+        found = known[kept]
+        return replace(found[self._distinct(found.configuration.rows)], complete=complete)
 
     def _solve_from(self, rows: np.ndarray) -> Solutions:
         """Iterate from configurations (k, nq + 12 + nu)."""

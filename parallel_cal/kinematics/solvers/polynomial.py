@@ -45,7 +45,7 @@ def direct_all(
     R = orientations(u, v, c, form)
     x = Configuration(np.asarray(q), np.array(model.mechanism.home.position), R).rows
     found = with_status(model, x, at, TOLERANCE, "direct")
-    return replace(found[order_from_home(model, found, at)], complete=True)
+    return replace(order_from_home(model, found, at), complete=True)
 
 
 def direct(

@@ -52,7 +52,7 @@ def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None)
     none = np.empty((0, len(q) + 12))
     poses = stack_solutions(found) if found else Solutions.of(none, none[:, 0], none[:, 0])
     complete = is_pose_unaffected(model.structure)
-    poses = poses[order_from_home(model, poses, at)]
+    poses = order_from_home(model, poses, at)
     return replace(poses, count_complex=len(z), complete=complete)
 
 

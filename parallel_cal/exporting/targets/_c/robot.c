@@ -58,7 +58,7 @@ static const int UNKNOWN[2][MOST] = {{@unknown_direct@}, {@unknown_inverse@}};
 static const int UNKNOWNS[2] = {@n_direct@, @n_inverse@};
 static const int GIVEN[2][MOST] = {{@given_direct@}, {@given_inverse@}};
 static const int GIVENS[2] = {@g_direct@, @g_inverse@};
-static const int TURNS[2] = {@turns_direct@, @turns_inverse@}; /* all of the rotation is unknown */
+static const int TURNS[2] = {@turns_direct@, @turns_inverse@}; /* the axis of unknown turns, 3 for any, -1 for none */
 static const int HOME_SIGN[2] = {@home_sign_direct@, @home_sign_inverse@}; /* 0: selects no side */
 static const int MOTOR_SIGN = @motor_sign@; /* of the direct problem, where the inverse one keeps to it */
 static const int BRANCHES[2] = {@branches_direct@, @branches_inverse@}; /* home selects one of several */
@@ -147,6 +147,22 @@ static double smallest_singular_value(int n, const double *J)
 
 /* ------------------------------------------------------------------ configurations */
 
+/* x turned about an axis of {B}, so that its rotation is nearest to that of `from`. */
+static void turned_about(int axis, const double *from, double *x)
+{
+    int one = NQ + 3 + (axis + 1) % 3 * 3, other = NQ + 3 + (axis + 2) % 3 * 3;
+    double c = 0, s = 0;
+    for (int i = 0; i < 3; ++i) {
+        c += from[one + i] * x[one + i] + from[other + i] * x[other + i];
+        s += from[other + i] * x[one + i] - from[one + i] * x[other + i];
+    }
+    double size = sqrt(c * c + s * s);
+    for (int i = 0; i < 3 && size > 0; ++i) {
+        double u = x[one + i], v = x[other + i];
+        x[one + i] = (c * u - s * v) / size, x[other + i] = (s * u + c * v) / size;
+    }
+}
+
 /* The unknown coordinates of `from` into x. */
 static void unknowns_of(int problem, const double *from, double *x)
 {
@@ -156,9 +172,11 @@ static void unknowns_of(int problem, const double *from, double *x)
             x[column] = from[column];
         else if (NU && column >= NQ + 6)
             x[column + 6] = from[column + 6];
-        else if (TURNS[problem]) /* a rotation of which a part is given stays the given one */
-            memcpy(x + NQ + 3, from + NQ + 3, 9 * sizeof *x);
     }
+    if (TURNS[problem] == 3)
+        memcpy(x + NQ + 3, from + NQ + 3, 9 * sizeof *x);
+    else if (TURNS[problem] >= 0)
+        turned_about(TURNS[problem], from, x);
 }
 
 static int all_finite(int n, const double *x)
@@ -631,7 +649,7 @@ int @robot@_inverse_capped(const double position[3], const double rotation[9],
     const @robot@_conditions *at, const @robot@_configuration *start, int steps,
     @robot@_configuration *answer, double *residual)
 {
-    double given[NX], x[NX], a[CONDITIONS + 1], left;
+    double given[NX], begin[NX], x[NX], a[CONDITIONS + 1], left;
     memcpy(given, HOME, sizeof given);
     if (!position) position = HOME + NQ;
     if (!rotation) rotation = HOME + NQ + 3;
@@ -639,8 +657,8 @@ int @robot@_inverse_capped(const double position[3], const double rotation[9],
     conditions_of(at, a);
     memcpy(x, given, sizeof x);
     if (start) {
-        memcpy(x, start->joints, NQ * sizeof *x);
-@passive@
+        row_of(start, begin);
+        unknowns_of(INVERSE, begin, x);
     }
     int status = answered(INVERSE, given, a, start != 0, steps, x, &left);
     configuration_of(x, answer);
