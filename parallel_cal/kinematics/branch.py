@@ -82,7 +82,7 @@ def is_same_solution(model: Model, one: np.ndarray, other: np.ndarray) -> bool:
 
 def is_jump(problem: Problem, begin: np.ndarray, end: np.ndarray, row: np.ndarray) -> bool:
     """Whether iterations jumped over a singularity; a robot may pass one in short steps."""
-    same = problem.is_on_home_side(begin, row) == problem.is_on_home_side(end, row)
+    same = problem.find_sides(begin, row) == problem.find_sides(end, row)
     return not same and not is_short_step(problem.model, begin, end)
 
 

@@ -47,8 +47,7 @@ class Samples:
         if problem.begins_at_home:
             return pivot > 0.0
         begin = problem.start(self.given[i])  # a closed form has this branch on either side
-        sides = (problem.is_on_home_side(x, row) for x in (self.x[i], begin))
-        return next(sides) == next(sides)
+        return problem.find_sides(self.x[i], row) == problem.find_sides(begin, row)
 
     def return_to_home_branch(self, other: Problem, doubted: np.ndarray, quick: bool) -> None:
         """Replace solutions by those that are followed from home while the readings (or the pose)

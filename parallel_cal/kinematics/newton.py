@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, reduce
-from operator import mul
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -13,7 +12,7 @@ import numpy as np
 
 from parallel_cal.base.compiled import dense
 from parallel_cal.base.rotation import cayley, exponential
-from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE
+from parallel_cal.kinematics.elimination import Block, Elimination, find_blocks, square
 from parallel_cal.kinematics.start import (
     begins_at_home,
     path_home,
@@ -36,18 +35,17 @@ class NewtonFunctions:
     smallest distance of a joint from its limits, negative outside. The pivot is negative on the
     other side of a singularity than home, and where the iterations went too far from where they
     began to stay on its branch. `solve` begins at the mechanism's own start, `refine` at the given
-    configuration. `columns`: the unknown columns of (q, r, w, u). `home_sign`: sign of the
-    determinant of the closure's Jacobian in the unknowns at home; 0 if home selects no side.
-    `motor_sign`: that of the direct problem, if `inverse` keeps to this side, too; else 0.
-    `iteration`: the parts of `solve` and `refine`.
+    configuration. `columns`: the unknown columns of (q, r, w, u). `blocks`: those of the closure's
+    Jacobian in the unknowns. `motor_blocks`: those of the direct problem, if `inverse` keeps to
+    their side, too; else none. `iteration`: the parts of `solve` and `refine`.
     """
 
     tables: ca.Function
     solve: ca.Function
     refine: ca.Function
     columns: list[int]
-    home_sign: float
-    motor_sign: float
+    blocks: list[Block]
+    motor_blocks: list[Block]
     iteration: Iteration
 
 
@@ -61,8 +59,8 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     s = structure
     columns, given, start = split(s, problem)
     J = s.differentiate_closure(columns)
-    order, home_sign = row_order(s, J), find_home_sign(s, J, path_home(s.ideal, problem))
-    motor_sign, motor_side = _side_of_motors(s, problem)
+    blocks = find_blocks(s, J, path_home(s.ideal, problem))
+    motor_blocks, motor_side = _side_of_motors(s, problem)
     (phi, J, rest, motor_side), constants, symbols = _extract_constant_parts(
         [s.phi, J, s.residual, motor_side], ca.vertcat(given, s.v, s.a)
     )
@@ -71,8 +69,7 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     closure, residual, motors = (
         dense("rows", [s.configuration, symbols], [part]) for part in (phi, rest, motor_side)
     )
-    side = home_sign * _sign_of(order)
-    step = _step_function(s, closure, J, symbols, columns, order, side)
+    step = _step_function(s, closure, J, symbols, columns, blocks)
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
     iterate = Iteration(
@@ -87,7 +84,7 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     )
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
-    return NewtonFunctions(tables_function, solve, refine, columns, home_sign, motor_sign, iterate)
+    return NewtonFunctions(tables_function, solve, refine, columns, blocks, motor_blocks, iterate)
 
 
 def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
@@ -102,28 +99,20 @@ def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
     return columns, ca.vertcat(*given), start
 
 
-def _side_of_motors(s: Structure, problem: str) -> tuple[float, Any]:
-    """Return the sign of the direct problem's determinant at home, and an expression that is
-    positive on this side; 0 and 1 where the problem does not keep to it.
+def _side_of_motors(s: Structure, problem: str) -> tuple[list[Block], Any]:
+    """Return the blocks of the direct problem, and an expression that is positive on home's side of
+    its singularities; none and 1 where the problem does not keep to it.
 
     The motors do not pass a direct singularity. `inverse` that is followed from home does not,
     either; a closed form answers for each pose that it is given.
     """
     if problem == "direct" or not begins_at_home(s.ideal, problem):
-        return 0.0, ca.SX(1)
-    columns = unknown_columns(s, "direct")
-    J = s.differentiate_closure(columns)
-    sign = find_home_sign(s, J, np.array(s.mechanism.home.configuration))
-    if not sign:
-        return 0.0, ca.SX(1)
-    order = row_order(s, J)
-    return sign, sign * _sign_of(order) * Elimination(J, order).determinant
-
-
-def _sign_of(order: list[int]) -> float:
-    """Return the sign of a permutation: the determinant of ordered rows is that of the rows times
-    this sign."""
-    return float(np.linalg.det(np.eye(len(order))[order]).round())
+        return [], ca.SX(1)
+    J = s.differentiate_closure(unknown_columns(s, "direct"))
+    blocks = find_blocks(s, J, np.array(s.mechanism.home.configuration))
+    if not any(block.sign for block in blocks):
+        return [], ca.SX(1)
+    return blocks, Elimination(J, blocks).side
 
 
 def _extract_constant_parts(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:
@@ -148,18 +137,17 @@ def _step_function(
     J: Any,
     symbols: Any,
     columns: list[int],
-    order: list[int],
-    side: float,
+    blocks: list[Block],
 ) -> ca.Function:
     """(configuration, constants) -> configuration after one iteration, last step, pivot.
 
-    The pivot is negative if the determinant of the ordered rows has another sign than `side`.
+    The pivot is negative if the determinant of a block has another sign than at home.
 
     One iteration is a Newton step and a second step with the same Jacobian: third order
     (Traub) at little more than the cost of one step. With more rows than unknowns the step is that
     of least squares; with fewer (a redundant arm) it is the shortest one that closes the rows.
     """
-    solver = Elimination(_square(J), order)
+    solver = Elimination(square(J), blocks)
 
     def stepped(x: Any) -> tuple[Any, Any]:
         phi = closure(x, symbols)
@@ -171,14 +159,8 @@ def _step_function(
 
     once, _ = stepped(s.configuration)
     twice, scaled = stepped(once)
-    pivot = solver.pivot * (ca.sign(side * solver.determinant) if side else 1)
+    pivot = solver.pivot * solver.side
     return dense("step", [s.configuration, symbols], [twice, ca.norm_2(scaled), pivot])
-
-
-def _square(J: Any) -> Any:
-    """The square matrix that a step with a Jacobian of any shape inverts."""
-    rows, unknowns = J.shape
-    return J if rows == unknowns else J.T @ J if rows > unknowns else J @ J.T
 
 
 def apply_change(
@@ -213,80 +195,6 @@ def short_step(m: Mechanism) -> np.ndarray:
     finite, however short the step; these bounds are well below it."""
     joints, passive = np.full(len(m.joints), 0.5), np.full(len(m.passive), 0.5)
     return np.concatenate([joints, np.full(3, m.length), np.full(9, 0.25), passive])
-
-
-def find_home_sign(s: Structure, J: Any, home: np.ndarray) -> float:
-    """Sign of the determinant of the nominal robot's Jacobian at home; 0 at a singular home, and
-    if there are more rows than unknowns or fewer: then two branches may have equal signs."""
-    jacobian = ca.Function("J", [s.configuration, s.v, s.a], [J])
-    A = np.array(jacobian(home, s.table.nominal, s.neutral))
-    if A.shape[0] != A.shape[1] or not np.isfinite(A).all():
-        return 0.0
-    regular = np.linalg.svd(A, compute_uv=False)[-1] > MIN_REGULAR_SINGULAR_VALUE
-    return float(np.sign(np.linalg.det(A))) if regular else 0.0
-
-
-def row_order(s: Structure, J: Any) -> list[int]:
-    """Choose a row order that gives large pivots at home, for a robot that is not nominal."""
-    off = s.table.nominal + s.table.tolerance * np.random.default_rng(0).standard_normal(
-        len(s.table)
-    )
-    m = s.mechanism
-    example = ca.Function("J", [s.configuration, s.v, s.a], [J])
-    A = _square(np.array(example(m.home.configuration, off, 0)))
-    order = list(range(len(A)))
-    for k in range(len(A)):
-        best = k + int(np.argmax(np.abs(A[k:, k])))
-        A[[k, best]] = A[[best, k]]
-        order[k], order[best] = order[best], order[k]
-        A[k + 1 :] -= np.outer(A[k + 1 :, k] / A[k, k], A[k])
-    return order
-
-
-class Elimination:
-    """Compute A^-1 b for several b by elimination in a given row order, the smallest pivot, and the
-    determinant of the ordered rows.
-
-    Rows are not exchanged at run time, so the result is one expression without branches. Newton's
-    method corrects the lost accuracy; a small pivot sends the sample to the careful solver.
-    """
-
-    def __init__(self, A: Any, order: list[int]):
-        self._order = order
-        factorise, self._substitute = _elimination(len(order))
-        self._factors, self.pivot, self.determinant = factorise(A[order, :])
-
-    def __call__(self, b: Any) -> Any:
-        return self._substitute(self._factors, b[self._order])
-
-
-@lru_cache(maxsize=16)
-def _elimination(n: int) -> tuple[ca.Function, ca.Function]:
-    """Build A -> (factors of A, smallest pivot, determinant), and (factors, b) -> A^-1 b, for n
-    unknowns.
-
-    To call these functions with symbols takes a tenth of the time of the same operations in Python.
-    """
-    A, b = ca.SX.sym("A", n, n), ca.SX.sym("b", n)
-    M = [[A[i, j] for j in range(n)] for i in range(n)]
-    # Upper triangle in place; the factors are stored in the place of the zeros below it.
-    for k in range(n):
-        for i in range(k + 1, n):
-            M[i][k] = M[i][k] / M[k][k]
-            for j in range(k + 1, n):
-                M[i][j] = M[i][j] - M[i][k] * M[k][j]
-    factors = ca.vertcat(*[ca.horzcat(*row) for row in M])
-    pivots = ca.diag(factors)
-    pivot, determinant = ca.mmin(ca.fabs(pivots)), reduce(mul, ca.vertsplit(pivots))
-    y = ca.vertsplit(b)
-    for i in range(n):
-        y[i] = y[i] - sum(A[i, k] * y[k] for k in range(i))
-    for i in reversed(range(n)):
-        y[i] = (y[i] - sum(A[i, k] * y[k] for k in range(i + 1, n))) / A[i, i]
-    return (
-        ca.Function("factorise", [A], [factors, pivot, determinant]),
-        ca.Function("substitute", [A, b], [ca.vertcat(*y)]),
-    )
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ class _Calls:
         functions = newton_functions(structure, name)
         self._refine, self._compile = functions.refine, compile
         self.columns, self.tables = functions.columns, Single(functions.tables)
-        self.home_sign, self.motor_sign = functions.home_sign, functions.motor_sign
+        self.blocks, self.motor_blocks = functions.blocks, functions.motor_blocks
         self._structure = structure
         self.many = Batch(functions.solve, 0 if compile else None)
 
@@ -122,7 +122,8 @@ class Problem:
         """Whether home selects one of several branches. A singular home does not, nor does one
         whose solution is any of many, as with fewer rows than unknowns."""
         enough = self.model.structure.phi.shape[0] >= len(self.columns)
-        return bool(self.calls.home_sign) or (self.begins_at_home and enough)
+        sides = any(block.sign for block in self.calls.blocks)
+        return sides or (self.begins_at_home and enough)
 
     def settle(self, begin: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Iterate from configurations (N, nq + 12 + nu); return the ends, and which of them settled
@@ -187,15 +188,23 @@ class Problem:
         return float(np.linalg.norm(rows))
 
     def is_on_home_side(self, x: np.ndarray, a: np.ndarray) -> bool:
-        """Whether the determinant of that Jacobian has the sign that it has at home, and that of
-        the direct problem, where `inverse` keeps to its side."""
-        unknown = self.columns, self.calls.home_sign
-        motors = self.model.mechanism.dependent_columns, self.calls.motor_sign
-        return all(
-            sign * np.linalg.det(self._phi_and_jacobian(x, a, columns)[1]) > 0.0
-            for columns, sign in (unknown, motors)
-            if sign
-        )
+        """Whether a configuration is on home's side of the singularities, as `find_sides` says."""
+        return all(self.find_sides(x, a))
+
+    def find_sides(self, x: np.ndarray, a: np.ndarray) -> list[bool]:
+        """Whether the determinant of each block of that Jacobian has the sign that it has at home,
+        and of those of the direct problem, where `inverse` keeps to its side."""
+        unknown = self.columns, self.calls.blocks
+        motors = self.model.mechanism.dependent_columns, self.calls.motor_blocks
+        sides = list[bool]()
+        for columns, blocks in (unknown, motors):
+            if any(block.sign for block in blocks):
+                _, J = self._phi_and_jacobian(x, a, columns)
+                sides += [
+                    bool(block.sign * np.linalg.det(J[np.ix_(block.rows, block.columns)]) > 0.0)
+                    for block in blocks
+                ]
+        return sides
 
     def descend(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float, Status]:
         """Descend from a configuration by Levenberg-Marquardt (C.4)."""

@@ -404,7 +404,7 @@ MUTANTS = (
     ),
     Mutant(
         "kinematics/newton.py",
-        "pivot = solver.pivot * (ca.sign(side * solver.determinant) if side else 1)",
+        "pivot = solver.pivot * solver.side",
         "pivot = solver.pivot",
         "a solution of another branch counts as solved",
         "test_branch.py test_kinematics.py test_singularity.py test_solvers_agree.py",

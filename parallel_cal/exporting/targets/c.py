@@ -177,7 +177,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "home_rotation": _list(home[n + 3 : n + 12]),
         "n_passive": len(m.passive),
         "passive_turn": _list([*(2 * np.pi * (unit == "rad") for unit in m.passive_units), 0.0]),
-        "motor_sign": int(newton[1].motor_sign),
+        "motors": int(bool(newton[1].motor_blocks)),
         "length": m.length,
         "amplitude": PATH_AMPLITUDE * m.length,
         "generated": _generate_functions(model, newton),
@@ -194,6 +194,7 @@ def _problem_words(model: Model, problem: str) -> dict[str, Any]:
     functions = newton_functions(model.structure, problem)
     given = {"direct": [*range(n)], "inverse": [n + i for i in model.mechanism.controlled]}
     u, g = functions.columns, given[problem]
+    blocks = [block for block in functions.blocks if block.sign]
     return {
         f"unknown_{problem}": _list(u),
         f"n_{problem}": len(u),
@@ -201,7 +202,13 @@ def _problem_words(model: Model, problem: str) -> dict[str, Any]:
         f"g_{problem}": len(g),
         f"turns_{problem}": 3 if problem == "direct" else free_turn(model.mechanism),
         f"constants_{problem}": functions.iteration.n_constants,
-        f"home_sign_{problem}": int(functions.home_sign),
+        f"blocks_{problem}": len(blocks),
+        f"block_sizes_{problem}": _list([len(block.rows) for block in blocks] or [0]),
+        f"block_signs_{problem}": _list([int(block.sign) for block in blocks] or [0]),
+        f"block_rows_{problem}": _list([row for block in blocks for row in block.rows] or [0]),
+        f"block_columns_{problem}": _list(
+            [column for block in blocks for column in block.columns] or [0]
+        ),
         f"at_home_{problem}": int(split.begins_at_home),
         f"path_home_{problem}": _list(split.home),
         f"branches_{problem}": int(split.has_branches),

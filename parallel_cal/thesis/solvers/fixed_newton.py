@@ -17,9 +17,10 @@ import numpy as np
 
 from parallel_cal.base.compiled import dense
 from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.elimination import Elimination, find_blocks
 from parallel_cal.kinematics.evaluating import check_step_count, evaluate_solver, match_shape
 from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.kinematics.newton import Elimination, apply_change, row_order, split
+from parallel_cal.kinematics.newton import apply_change, split
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
@@ -74,11 +75,12 @@ def newton_steps(
     J = s.differentiate_closure(columns)
     if J.shape[0] != J.shape[1]:
         raise SolveError(f"{s.mechanism.name} has more closure rows than unknowns; use newton")
-    order, inputs = row_order(s, J), [s.configuration, s.a, s.v]
+    blocks = find_blocks(s, J, np.array(s.mechanism.home.configuration))
+    inputs = [s.configuration, s.a, s.v]
     phi, slope = dense("phi", inputs, [s.phi]), dense("slope", inputs, [J])
-    solver = Elimination(slope(x, s.a, s.v), order)
+    solver = Elimination(slope(x, s.a, s.v), blocks)
     for k in range(steps):
         if update and k:
-            solver = Elimination(slope(x, s.a, s.v), order)
+            solver = Elimination(slope(x, s.a, s.v), blocks)
         x = apply_change(s, x, columns, solver(-phi(x, s.a, s.v)))
     return dense(f"newton_{problem}", inputs, [x])

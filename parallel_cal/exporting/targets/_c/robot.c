@@ -59,8 +59,12 @@ static const int UNKNOWNS[2] = {@n_direct@, @n_inverse@};
 static const int GIVEN[2][MOST] = {{@given_direct@}, {@given_inverse@}};
 static const int GIVENS[2] = {@g_direct@, @g_inverse@};
 static const int TURNS[2] = {@turns_direct@, @turns_inverse@}; /* the axis of unknown turns, 3 for any, -1 for none */
-static const int HOME_SIGN[2] = {@home_sign_direct@, @home_sign_inverse@}; /* 0: selects no side */
-static const int MOTOR_SIGN = @motor_sign@; /* of the direct problem, where the inverse one keeps to it */
+static const int MOTORS = @motors@; /* whether the inverse problem keeps to home's side of the direct one */
+static const int BLOCKS[2] = {@blocks_direct@, @blocks_inverse@}; /* of the slopes, 0 where home selects no side */
+static const int BLOCK_SIZE[2][MOST] = {{@block_sizes_direct@}, {@block_sizes_inverse@}};
+static const int BLOCK_SIGN[2][MOST] = {{@block_signs_direct@}, {@block_signs_inverse@}};
+static const int BLOCK_ROW[2][MOST] = {{@block_rows_direct@}, {@block_rows_inverse@}};
+static const int BLOCK_COLUMN[2][MOST] = {{@block_columns_direct@}, {@block_columns_inverse@}};
 static const int BRANCHES[2] = {@branches_direct@, @branches_inverse@}; /* home selects one of several */
 static const int AT_HOME[2] = {@at_home_direct@, @at_home_inverse@}; /* iterations begin there, or at its expansion */
 static const double LENGTH = @length@;         /* m */
@@ -275,24 +279,56 @@ static void change_between(const double *x, const double *to, double *change)
         change[NQ + 3 + i] = size > 0 ? angle / sqrt(size) * quaternion[i + 1] : 0;
 }
 
-/* Whether the determinant of the slopes has this sign. */
-static int has_sign(int problem, int expected, const double *x, const double *a)
+/* Whether the determinant of each block of the slopes has the sign of home. */
+static void sides_of_blocks(int problem, const double *x, const double *a, int *sides)
 {
-    double phi[ROWS], J[ROWS * MOST];
-    if (expected == 0) return 1;
+    double phi[ROWS], J[ROWS * MOST], A[MOST * MOST];
     closure_and_slopes(problem, x, a, phi, J);
-    return expected * solved(UNKNOWNS[problem], J, 0, J) > 0;
+    for (int block = 0, first = 0; block < BLOCKS[problem]; ++block) {
+        int n = BLOCK_SIZE[problem][block];
+        for (int i = 0; i < n; ++i)
+            for (int j = 0; j < n; ++j)
+                A[i * n + j] = J[BLOCK_ROW[problem][first + i] * UNKNOWNS[problem]
+                    + BLOCK_COLUMN[problem][first + j]];
+        sides[block] = BLOCK_SIGN[problem][block] * solved(n, A, 0, A) > 0;
+        first += n;
+    }
+}
+
+/* Of the inverse problem, where it keeps to them, also those of the direct one; how many they are. */
+static int sides_of(int problem, const double *x, const double *a, int sides[2 * MOST])
+{
+    int both = problem == INVERSE && MOTORS;
+    if (BLOCKS[problem]) sides_of_blocks(problem, x, a, sides);
+    if (both) sides_of_blocks(DIRECT, x, a, sides + BLOCKS[problem]);
+    return BLOCKS[problem] + (both ? BLOCKS[DIRECT] : 0);
 }
 
 /* Whether x is on home's side of the direct singularities, where the problem keeps to it. */
 static int motors_on_home_side(int problem, const double *x, const double *a)
 {
-    return problem == DIRECT || has_sign(DIRECT, MOTOR_SIGN, x, a);
+    int sides[2 * MOST];
+    if (problem == DIRECT || !MOTORS) return 1;
+    for (int i = sides_of(DIRECT, x, a, sides); i > 0; --i)
+        if (!sides[i - 1]) return 0;
+    return 1;
 }
 
 static int on_home_side(int problem, const double *x, const double *a)
 {
-    return has_sign(problem, HOME_SIGN[problem], x, a) && motors_on_home_side(problem, x, a);
+    int sides[2 * MOST];
+    for (int i = sides_of(problem, x, a, sides); i > 0; --i)
+        if (!sides[i - 1]) return 0;
+    return 1;
+}
+
+static int on_same_sides(int problem, const double *x, const double *y, const double *a)
+{
+    int sides[2 * MOST], others[2 * MOST];
+    sides_of(problem, x, a, sides);
+    for (int i = sides_of(problem, y, a, others); i > 0; --i)
+        if (sides[i - 1] != others[i - 1]) return 0;
+    return 1;
 }
 
 /* Whether two configurations are too near for a jump to another branch. */
@@ -544,7 +580,7 @@ static int trusted(int problem, int near, double pivot, const double *begin, con
 {
     if (!BRANCHES[problem]) return 1;
     if (AT_HOME[problem]) return near && pivot > 0 && motors_on_home_side(problem, x, a);
-    return on_home_side(problem, x, a) == on_home_side(problem, begin, a);
+    return on_same_sides(problem, x, begin, a);
 }
 
 /* x (in: the start, where `warm`) for what is given; a status. */
@@ -581,8 +617,7 @@ static int solve_once(int problem, const double *given, const double *a, int war
         memcpy(starts[0], x, sizeof starts[0]);
         memcpy(starts[1], given, sizeof starts[1]);
         status = searched(problem, 1, 2, starts, a, steps, x, residual);
-    } else if (!sure && on_home_side(problem, begin, a) != on_home_side(problem, x, a)
-        && !short_step(begin, x)) {
+    } else if (!sure && !on_same_sides(problem, begin, x, a) && !short_step(begin, x)) {
         status = @ROBOT@_OTHER_BRANCH;
     }
     if (status == @ROBOT@_CONVERGED && !settled && singular_at(problem, x, a))
