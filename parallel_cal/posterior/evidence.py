@@ -112,7 +112,7 @@ class Evidence:
         return self.squares - float(self._onto @ self._onto)
 
     @cached_property
-    def _taken(self) -> tuple[np.ndarray, np.ndarray]:
+    def _inverse_root(self) -> tuple[np.ndarray, np.ndarray]:
         """U (n, k) and w (k,) of S^-1/2 = 1 - U diag(w) U'."""
         C = np.hstack([SIZES[one.size] * one.block.at(one.setting) for one in self.chosen])
         squares, V = np.linalg.eigh(C.T @ C)
@@ -124,7 +124,7 @@ class Evidence:
         """Columns (n, k) or (n,) times S^-1/2: without what the chosen causes explain."""
         if not self.chosen:
             return columns
-        U, w = self._taken
+        U, w = self._inverse_root
         return np.asarray(columns - (U * w) @ (U.T @ columns))
 
     @property

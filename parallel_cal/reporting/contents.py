@@ -379,7 +379,7 @@ def describe_parameters(
 ) -> dict[str, DescribedParameter]:
     """Describe the estimates of a model's parameters, by name. A setting of an effect, such as a
     lead, has not moved from a nominal value: what stood there before was a guess. One that no joint
-    has is left out."""
+    has is not listed."""
     table, unused = model.table, model.list_unused_numbers()
     tolerances = dict(zip(table.names, model.usual_tolerance, strict=True))
     settings = model.settings_of(*(one.name for one in model.effects))
