@@ -138,7 +138,7 @@ def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
     if not has_effect(scene.model, effect.name):
         return found
     numbers = [one[effect.each] for one in found if effect.each in one and scene.within is None]
-    joints = list_joints_alike(scene.model, effect)
+    joints = list_joints_with_numbers(scene.model, effect)
     return [{f"{joint}.{effect.each}": number} for joint in joints for number in numbers]
 
 
@@ -147,15 +147,12 @@ def has_effect(model: Model, name: str) -> bool:
     return any(one.name == name for one in model.effects)
 
 
-def list_joints_alike(model: Model, effect: Effect) -> list[str]:
-    """The joints of a model that have the number of the others in one of its effects, where they
-    may have their own; none if they are too few to differ."""
-    numbers = model.table.mapping(model.values)
-    if f"{effect.name}.{effect.each}" not in numbers:
+def list_joints_with_numbers(model: Model, effect: Effect) -> list[str]:
+    """The joints of a model that may have a number of their own in one of its effects."""
+    names = set(model.table.names)
+    if f"{effect.name}.{effect.each}" not in names:
         return []
-    names = {joint: f"{effect.name}.{joint}.{effect.each}" for joint in model.joints}
-    alike = [joint for joint, name in names.items() if numbers.get(name) == 0]
-    return alike if len(alike) > 1 else []
+    return [joint for joint in model.joints if f"{effect.name}.{joint}.{effect.each}" in names]
 
 
 def extend(model: Model, name: str) -> Model:
@@ -188,7 +185,9 @@ def list_effects_to_test(
         model.with_effect(asked[0])
     wanted = dict.fromkeys([*(asked or list_plugins("effects")), *own])
     return [
-        name for name in wanted if name not in has or list_joints_alike(model, load_effect(name))
+        name
+        for name in wanted
+        if name not in has or list_joints_with_numbers(model, load_effect(name))
     ]
 
 

@@ -238,6 +238,7 @@ class Scan:
             low <= other[key] <= high
             for multiple in load_effect(self.block.name).multiples(setting)
             for key, value in multiple.items()
+            if key in other  # else it is the number of another joint
             for low, high in [find_bracket(self.neighbours(self.block.settings[0], key), value)]
         )
 
@@ -303,7 +304,7 @@ class Scan:
         """The log posterior of the peak about a setting, its height times its width, and the
         setting there with its standard deviations."""
         setting = dict(start)
-        refined = self.list_refined(self.block.settings[self.best.setting])
+        refined = self.list_refined(start)
         _, setting = self.find_peak(setting, [*refined])
         sigma, widest = self.compute_sigma(setting), {k: np.ptp(v) for k, v in refined.items()}
         # Of the values that were scanned, so many share the evidence of one peak.
@@ -316,10 +317,10 @@ class Scan:
         return float(height + width), setting, sigma
 
     def compute_sigma(self, refined: Mapping[str, float]) -> dict[str, float]:
-        """The standard deviation of each number that was refined from the best scanned setting: one
-        of them away, the logarithm of the posterior is lower by a half."""
+        """The standard deviation of each number that was refined: one of them away, the logarithm
+        of the posterior is lower by a half."""
         sigma = {}
-        for key, scanned in self.list_refined(self.block.settings[self.best.setting]).items():
+        for key, scanned in self.list_refined(refined).items():
             step = float(np.diff(scanned).min()) / 20
             near = [self.weigh({**refined, key: refined[key] + away}) for away in (-step, 0, step)]
             bend = float(2 * near[1] - near[0] - near[2]) / step**2

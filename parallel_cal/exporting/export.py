@@ -97,7 +97,8 @@ def export(
         `files(model, option=default, ...) -> {name: text}`.
     folder : str or Path
         The folder to write the files to. It is created if it does not exist. If the target writes
-        a single file, it may be the name of that file, such as `robot.urdf`.
+        a single file, it may be the name of that file, such as `robot.urdf`; one that is there
+        remains as `NAME.previous`.
     touches : Touches, optional
         Points of the bed that a probe touched. The result then states the bed heights at these
         points, computed by the model and by the formula of the firmware.
@@ -151,7 +152,10 @@ def export(
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
     for path, text in place_files(name, made, Path(folder)).items():
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text)
+        if path == Path(folder) and path.exists():
+            _replace_files({path: text})  # it may be the user's own
+        else:
+            write_atomically(path, text)
         result.paths.append(path)
     if hasattr(module, "remarks"):
         result.remarks.extend(module.remarks(robot))

@@ -246,6 +246,8 @@ def list_settings(model: Model, effect: str) -> dict[str, tuple[set[float], str]
     for key, (p, value) in stated.items():
         is_one = key in own or key == kind.each
         name = name_setting(key, own) if is_one else key.rpartition(".")[2]
+        if name in found and found[name][1] != p.unit:  # a slide among joints that turn
+            name = f"{name} of {key.rpartition('.')[0]}"
         found.setdefault(name, (set(), p.unit))[0].add(value)
     return found
 

@@ -1,5 +1,6 @@
 """Numbers that joints have of their own: gears, screws and encoders of one robot that differ."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -253,3 +254,27 @@ def test_an_effect_that_the_model_has_takes_only_the_number_of_a_joint():
     for wrong in ({}, {"ratio": 8.0}, {"ratio": 8.0, "joint2.ratio": 15.0}):
         with pytest.raises(ModelError, match=r"already has .*: gear_.*:JOINT\.ratio=\.\.\."):
             has.with_effect(GEARS, wrong)
+
+
+@pytest.mark.parametrize("numbers", [{"ratio": 23.0}, {"ratio": 23.0, "joint2.ratio": 34.0}])
+def test_several_joints_whose_numbers_differ_in_a_model_are_found_one_after_the_other(numbers):
+    """It failed where two joints were likely; a stated number of a joint that is wrong was not
+    doubted."""
+    ratios = (23.0, 37.3, 51.9)
+    model, data = with_ripples(ratios, 2)
+    for _ in range(2):
+        has = model.with_effect(GEARS, numbers)
+        found = pc.diagnose(has, data, joint_sigma=1.2e-4)
+        assert GEARS in found.effects
+        [named] = [one for one in found.best.chosen if one.name == GEARS]
+        numbers = {**numbers, **named.settings}
+    each = [numbers[f"joint{k}.ratio"] for k in (2, 3)]
+    assert each == pytest.approx(ratios[1:], abs=1.0)
+    # Beside both, nothing is left.
+    assert pc.diagnose(model.with_effect(GEARS, numbers), data, joint_sigma=1.2e-4).left == "no"
+
+
+def test_a_width_of_a_slide_among_joints_that_turn_has_its_own_unit():
+    """It was listed as an angle: 0.0001 m as 0.0057 deg."""
+    words = describe_effect(new_model("scara16").with_effect("hysteresis"), "hysteresis")
+    assert re.fullmatch(r"hysteresis \(width [\d.]+ deg; width of joint3 [\d.]+ mm\)", words)

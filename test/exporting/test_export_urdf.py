@@ -173,6 +173,10 @@ def test_a_single_file_has_the_name_that_is_given(tmp_path):
     (tmp_path / "v1.urdf").mkdir()
     [there] = export(model, "urdf", tmp_path / "v1.urdf").paths
     assert there == tmp_path / "v1.urdf" / inside.name
+    named.write_text("<robot/>")
+    export(model, "urdf", named)
+    assert named.read_text() == inside.read_text()
+    assert named.with_name("robot.urdf.previous").read_text() == "<robot/>"
 
 
 def test_the_name_of_a_file_is_refused_where_a_folder_is_needed(tmp_path):
