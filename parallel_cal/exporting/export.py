@@ -14,7 +14,7 @@ import numpy as np
 
 from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.errors import ModelError, ParallelCalError
-from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
+from parallel_cal.base.files import write_atomically
 from parallel_cal.base.options import convert_options, split_options
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.base.units import DEGREE, MM
@@ -28,7 +28,7 @@ from parallel_cal.exporting.editing import (
     sets_stored_value,
 )
 from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
-from parallel_cal.exporting.output import place_files
+from parallel_cal.exporting.output import place_files, replace_files
 from parallel_cal.exporting.projection import (
     Firmware,
     Machine,
@@ -153,7 +153,7 @@ def export(
     for path, text in place_files(name, made, Path(folder)).items():
         path.parent.mkdir(parents=True, exist_ok=True)
         if path == Path(folder) and path.exists():
-            _replace_files({path: text})  # it may be the user's own
+            replace_files({path: text})  # it may be the user's own
         else:
             write_atomically(path, text)
         result.paths.append(path)
@@ -183,7 +183,7 @@ def export_into(
         if touches is not None:
             raise ModelError(f"{target} is no firmware that probes a bed: export without touches")
         texts, remarks = module.edit(robot, files)
-        _replace_files(texts)
+        replace_files(texts)
         return ExportResult(list(texts), remarks=[*remarks, *_describe_limits(model)])
     if not _holds(module, model):
         raise _refusal(target, module, model)
@@ -218,7 +218,7 @@ def export_into(
         held_out = _held_out_height(target, module, robot, stated, present)
         heights = replace(heights, held_out=held_out)
     before, after = loss(robot, old), loss(robot, new)
-    _replace_files(texts)
+    replace_files(texts)
     remarks = [*_remarks(robot, projection), *_describe_limits(model), *stated.describe_unused()]
     return ExportResult(list(texts), after, before, remarks, heights, movement)
 
@@ -290,14 +290,6 @@ def _edit(
             else:
                 numbers[key] = text
     return texts, firmware
-
-
-def _replace_files(texts: Mapping[Path, str]) -> None:
-    """Write files that change, and keep the old ones as `NAME.previous`."""
-    for path, text in texts.items():
-        if (old := read_verbatim(path)) != text:
-            write_atomically(path.with_name(path.name + BACKUP_SUFFIX), old, like=path)
-            write_atomically(path, text)
 
 
 def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:

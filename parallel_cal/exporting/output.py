@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
+from parallel_cal.exporting.editing import read_verbatim
 
 
 def place_files(target: str, made: Mapping[str, str], output: Path) -> dict[Path, str]:
@@ -41,3 +43,11 @@ def place_files(target: str, made: Mapping[str, str], output: Path) -> dict[Path
     if len(made) == 1:
         expected += f", or a file whose name ends in {endings.pop()}"
     raise ModelError(f"{output} is the name of a file: {target} writes {written}: give {expected}")
+
+
+def replace_files(texts: Mapping[Path, str]) -> None:
+    """Write files that change, and keep the old ones as `NAME.previous`."""
+    for path, text in texts.items():
+        if (old := read_verbatim(path)) != text:
+            write_atomically(path.with_name(path.name + BACKUP_SUFFIX), old, like=path)
+            write_atomically(path, text)
