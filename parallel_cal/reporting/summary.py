@@ -91,7 +91,8 @@ def list_step(label: str, step: str) -> Iterator[Line]:
 
 def name_files(line: Line, names: Mapping[str, str]) -> Line:
     """Replace the placeholders of a step, such as MODEL, by the files of this run."""
-    words = [names.get(word, word) for word in line.text.split(" ")]
+    split = [(word.rstrip(",;"), word) for word in line.text.split(" ")]
+    words = [names.get(stem, stem) + word[len(stem) :] for stem, word in split]
     return line._replace(text=" ".join(words))
 
 

@@ -19,7 +19,14 @@ from parallel_cal.reporting.blocks import Cell, Detail, PValue, Table, as_text, 
 from parallel_cal.reporting.contents import describe_parameters
 from parallel_cal.reporting.readable import COMMAND, FOUND, columns
 from parallel_cal.reporting.results import describe_fit
-from parallel_cal.reporting.summary import describe_effect, describe_missing, list_step, summarize
+from parallel_cal.reporting.summary import (
+    Line,
+    describe_effect,
+    describe_missing,
+    list_step,
+    name_files,
+    summarize,
+)
 
 ROOT = Path(__file__).parents[2]
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
@@ -264,12 +271,25 @@ def test_noise_that_only_revisits_show_bounds_what_may_be_missing():
 )
 def test_probabilities_of_rivals_that_exceed_one_are_said_to_overlap(each, words):
     cause = {"each": each, "settings": {}, "probability": max(each.values())}
-    assert describe_missing(SimpleNamespace(missing=[cause])) == words
+    assert describe_missing(diagnosis_of(cause)) == words
+
+
+def diagnosis_of(cause):
+    """What a sentence needs of a diagnosis of a robot without effects."""
+    robot, nothing = SimpleNamespace(effects=()), SimpleNamespace(chosen=())
+    return SimpleNamespace(missing=[cause], model=robot, best=nothing)
 
 
 def test_an_effect_that_imitates_another_cause_is_not_said_to_be_missing():
     cause = {"each": {"backlash": 0.004}, "settings": {}, "probability": 0.004}
-    assert describe_missing(SimpleNamespace(missing=[cause])) == (
+    assert describe_missing(diagnosis_of(cause)) == (
         "No known effect is missing. Backlash: < 1 %; the error falls with it, but something else "
         "causes it."
     )
+
+
+def test_a_placeholder_before_a_comma_is_replaced_too():
+    """`keep MODEL, and put the measuring device back` kept the placeholder."""
+    line = Line("next:", "keep MODEL, and put RECORDING back: parallel-cal fit MODEL")
+    named = name_files(line, {"MODEL": "robot.yaml", "RECORDING": "day2.csv"})
+    assert named.text == "keep robot.yaml, and put day2.csv back: parallel-cal fit robot.yaml"
