@@ -183,10 +183,16 @@ class Scan:
         """
         brackets = [find_bracket(self.neighbours(start, key), start[key]) for key in keys]
         low, high = np.array(brackets).reshape(-1, 2).T
-        first = now = self.fit(start)
-        if first is None or now is None or not keys:
+        first = self.fit(start)
+        if first is None or not keys:
             return self.weigh(start), dict(start)
-        setting = dict(start)
+        now, setting = first, dict(start)
+        for key, bracket in zip(keys, brackets, strict=True):  # there may be a peak on each side
+            for end in bracket:
+                other = {**setting, key: (start[key] + end) / 2}
+                aside = self.fit(other)
+                if aside is not None and aside.log_p > now.log_p:
+                    now, setting = aside, other
         for _ in range(MAX_STEPS):
             step, gain = self._step(now, setting, dict(zip(keys, high - low, strict=True)))
             if gain < SMALL_GAIN or now.log_p + gain < least:
