@@ -63,7 +63,7 @@ def list_effect_blocks(
             tried *= 2
         usual = [root for root in roots for _ in settings]
         settings = len(roots) * settings
-        if effect.alone and not (known.get(name) or has_effect(scene.model, name)):
+        if effect.alone and not (known.get(name) or scene.model.has_effect(name)):
             patterns = [f"{name}.{one}" for one in effect.alone]
             own_names = np.array(stated.table.names)[new]
             apart = own[:, [any(fnmatchcase(n, one) for one in patterns) for n in own_names]]
@@ -135,30 +135,17 @@ def scan_settings(scene: Scene, effect: Effect) -> list[Mapping[str, float]]:
         return min(max(float(f"{value:.{DIGITS}g}"), low), high)
 
     found = [{key: shorten(key, value) for key, value in one.items()} for one in found]
-    if not has_effect(scene.model, effect.name):
+    if not scene.model.has_effect(effect.name):
         return found
     numbers = [one[effect.each] for one in found if effect.each in one and scene.within is None]
-    joints = list_joints_with_numbers(scene.model, effect)
+    joints = scene.model.collect_own_constants(effect)
     return [{f"{joint}.{effect.each}": number} for joint in joints for number in numbers]
-
-
-def has_effect(model: Model, name: str) -> bool:
-    """Whether a model has an effect."""
-    return any(one.name == name for one in model.effects)
-
-
-def list_joints_with_numbers(model: Model, effect: Effect) -> list[str]:
-    """The joints of a model that may have a number of their own in one of its effects."""
-    names = set(model.table.names)
-    if f"{effect.name}.{effect.each}" not in names:
-        return []
-    return [joint for joint in model.joints if f"{effect.name}.{joint}.{effect.each}" in names]
 
 
 def extend(model: Model, name: str) -> Model:
     """The model with an effect at its end, whose coefficients are zero. If the model has it, its
     joints keep their numbers, and one of them may be given its own."""
-    if not has_effect(model, name):
+    if not model.has_effect(name):
         return model.with_effect(name)
     numbers = {
         one.removeprefix(f"{name}."): value
@@ -185,9 +172,7 @@ def list_effects_to_test(
         model.with_effect(asked[0])
     wanted = dict.fromkeys([*(asked or list_plugins("effects")), *own])
     return [
-        name
-        for name in wanted
-        if name not in has or list_joints_with_numbers(model, load_effect(name))
+        name for name in wanted if name not in has or model.collect_own_constants(load_effect(name))
     ]
 
 
@@ -218,15 +203,14 @@ def yield_columns(
 def find_new_parameters(before: Model, after: Model) -> np.ndarray:
     """Mask of the free parameters that `after` has and `before` has not, or holds fixed; and of
     those of a joint that has another number there in an effect of both."""
-    old = {n for n, fixed in zip(before.table.names, before.fixed, strict=True) if not fixed}
-    if any(effect.each for effect in before.effects):
-        numbers = before.table.mapping(before.values)
-        for effect in before.effects:
-            for name, value in after.table.mapping(after.values).items():
-                own = name.startswith(f"{effect.name}.") and effect.is_of_one_joint(name)
-                if own and numbers.get(name, value) != value:
-                    joint = name.removesuffix(effect.each)
-                    old = {n for n in old if not n.startswith(joint)}
+    free = {n for n, fixed in zip(before.table.names, before.fixed, strict=True) if not fixed}
+    renewed = tuple(
+        f"{effect.name}.{joint}."
+        for effect in before.effects
+        for joint, value in before.collect_own_constants(effect).items()
+        if after.collect_own_constants(effect).get(joint, value) != value
+    )
+    old = {n for n in free if not n.startswith(renewed)}
     return np.array([n not in old for n in after.table.names]) & ~np.asarray(after.fixed)
 
 

@@ -114,10 +114,7 @@ class Scan:
         return self.block.scanned or self.block
 
     def _make(
-        self,
-        residual: np.ndarray,
-        columns: np.ndarray,
-        values: Mapping[str, float],
+        self, residual: np.ndarray, columns: np.ndarray, values: Mapping[str, float]
     ) -> Block | None:
         """A block of the columns of one setting."""
         root = self.block.usual[self.best.setting]
@@ -190,24 +187,21 @@ class Scan:
         for key, bracket in zip(keys, brackets, strict=True):  # there may be a peak on each side
             for end in bracket:
                 other = {**setting, key: (start[key] + end) / 2}
-                aside = self.fit(other)
-                if aside is not None and aside.log_p > now.log_p:
-                    now, setting = aside, other
+                if likelier := self._fit_likelier(other, now):
+                    now, setting = likelier, other
         for _ in range(MAX_STEPS):
             step, gain = self._step(now, setting, dict(zip(keys, high - low, strict=True)))
             if gain < SMALL_GAIN or now.log_p + gain < least:
                 break
-            at, more = np.array([setting[key] for key in keys]), None
+            at = np.array([setting[key] for key in keys])
             for shorter in (1.0, 0.5, 0.25, 0.125):
                 tried = np.clip(at + shorter * step, low, high)
-                reached = {**setting, **dict(zip(keys, tried.tolist(), strict=True))}
-                fitted = self.fit(reached)
-                if fitted is not None and fitted.log_p > now.log_p:
-                    more = fitted, reached
+                other = {**setting, **dict(zip(keys, tried.tolist(), strict=True))}
+                if likelier := self._fit_likelier(other, now):
                     break
-            if more is None:
+            else:
                 break
-            now, setting = more
+            now, setting = likelier, other
         found = dict(setting)
         for key, (lowest, highest) in zip(keys, brackets, strict=True):
             # Further digits are not known, and a person copies the number.
@@ -216,27 +210,35 @@ class Scan:
         after = first.log_p if found == start else self.weigh(found)
         return (after, found) if after > first.log_p else (first.log_p, dict(start))
 
+    def _fit_likelier(self, values: Mapping[str, float], than: Fitted) -> Fitted | None:
+        """The effect with one setting, if it is likelier than with another one."""
+        fitted = self.fit(values)
+        return fitted if fitted is not None and fitted.log_p > than.log_p else None
+
     def _step(
         self, now: Fitted, setting: Mapping[str, float], widths: Mapping[str, float]
     ) -> tuple[np.ndarray, float]:
         """The step of some numbers to the peak, and how much the log posterior gains by it, as far
         as the residual is linear in them; `widths` are those within which they are sought."""
-        own = self.scanned.own
         V, volume = np.empty((len(now.columns), len(widths))), np.empty(len(widths))
         by_column = self.beside.take_out(now.block.columns[0] @ now.covariance)
         for i, (key, width) in enumerate(widths.items()):
-            mine: np.ndarray | slice = slice(None)
-            if own is not None and key == own.name:
-                apart = self.list_own(setting)
-                has = [own.columns[j] for j in own.columns if f"{j}.{own.name}" not in apart]
-                mine = np.concatenate(has)
-            elif own is not None and key != self.number_of(key):
-                mine = own.columns[key.removesuffix(f".{own.name}")]
-            step = DERIVED_OVER * width
+            mine, step = self._find_columns(key, setting), DERIVED_OVER * width
             more = self._columns({**setting, key: setting[key] + step}, mine)
             change = (more - now.columns[:, mine]) / step
             V[:, i], volume[i] = change @ now.amplitudes[mine], np.sum(by_column[:, mine] * change)
         return now.step(self.beside.take_out(V), volume, np.array([*widths.values()]))
+
+    def _find_columns(self, key: str, setting: Mapping[str, float]) -> np.ndarray | slice:
+        """The columns of a setting that change with one of its numbers."""
+        own = self.scanned.own
+        if own is None or self.number_of(key) != own.name:
+            return slice(None)
+        if key != own.name:
+            return own.columns[key.removesuffix(f".{own.name}")]
+        apart = self.list_own(setting)
+        common = [own.columns[j] for j in own.columns if f"{j}.{own.name}" not in apart]
+        return np.concatenate(common)
 
     def is_peak_at_multiple(self, setting: Mapping[str, float], other: Mapping[str, float]) -> bool:
         """Whether another setting is the peak that `refine` finds at a multiple of a setting."""

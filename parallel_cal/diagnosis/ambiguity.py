@@ -51,8 +51,8 @@ def find_ambiguous_effects(best: Trial, names: Sequence[str]) -> tuple[Ambiguity
             smaller = fitted.model.without_effect(effect.name)
         except ModelError:  # another effect needs it
             continue
-        has = {one.name for one in fitted.model.effects}
-        possible = [effect.name, *(name for name in names if name not in has)]
+        others = (name for name in names if not fitted.model.has_effect(name))
+        possible = [effect.name, *others]
         causes = Causes.of(_scene_without(best, smaller), possible, kinds=())
         described = causes.explain()[1]
         swaps = find_swaps(described)

@@ -209,8 +209,8 @@ def _list_possible(
     sets = list[tuple[float, tuple[Choice, ...]]]()
     for p, causes in sorted(doubt.sets, key=lambda one: -one[0]):
         chosen = tuple(one for one in causes if one.block.kind == EFFECT)
-        has = {effect.name for effect in doubt.scene.model.effects}
-        if any(load_effect(one.block.name).widens or one.block.name in has for one in chosen):
+        has = doubt.scene.model.has_effect
+        if any(load_effect(one.block.name).widens or has(one.block.name) for one in chosen):
             continue
         settings = {one.block.name: one.block.settings[one.setting] for one in chosen}
         if (wider := _extend(model, settings)) is not None:

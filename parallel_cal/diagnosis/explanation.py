@@ -18,7 +18,6 @@ from parallel_cal.causes.effects import (
     compute_effect_columns,
     extend,
     find_new_parameters,
-    has_effect,
 )
 from parallel_cal.causes.settings import weigh_settings
 from parallel_cal.causes.unknown_laws import name_law
@@ -276,7 +275,7 @@ def _scene_about(base: Trial, best: Trial, within: Prior | None) -> Scene:
     found = result.table.mapping(result.values)
     before = fitted.model.table.mapping(fitted.model.values)
     # A joint whose number differs now keeps its wave of before.
-    renewed = {one.name for one in best.chosen if has_effect(fitted.model, one.name)}
+    renewed = {one.name for one in best.chosen if fitted.model.has_effect(one.name)}
     values = np.array(
         [
             value if name.partition(".")[0] in renewed else found.get(name, value)

@@ -129,12 +129,12 @@ class Findings:
     def names(self) -> str:
         """`backlash`, `A or B` or a family of lookalikes; several as `(A or B) and C`. Of an effect
         that the model has, a joint has another number: `A with another ratio of joint2`."""
-        has = {effect.name for effect in self.base.fitted.model.effects}
+        has = self.base.fitted.model.has_effect
         names = list[str]()
         for one in self.best.chosen:
             name = format_effect_names([one.name, *self.swaps.get(one.name, [])])
             for joint, _, number in (key.rpartition(".") for key in one.settings):
-                name += f" with another {number} of {joint}" if one.name in has else ""
+                name += f" with another {number} of {joint}" if has(one.name) else ""
             names.append(name)
         if len(names) == 1:
             return names[0]

@@ -152,7 +152,7 @@ def recorded_scale(model: Model, chains: Chains) -> Array | None:
 
 
 def has_gain(model: Model) -> bool:
-    return GAIN in (effect.name for effect in model.effects)
+    return model.has_effect(GAIN)
 
 
 def read_gains(model: Model) -> Array:

@@ -121,8 +121,7 @@ class Columns:
             columns.append(moved)
         device[DEVICE] = tuple(_as_part(DEVICE, one) for one in bumps)
         target = load_effect(TARGET_EFFECT)
-        states_it = any(one.name == TARGET_EFFECT for one in model.effects)
-        if not states_it and not target.applies(model.mechanism):
+        if not model.has_effect(TARGET_EFFECT) and not target.applies(model.mechanism):
             offsets = target.parameters(model.mechanism)
             R = model.configuration(observations.x).R
             for offset in offsets:

@@ -470,7 +470,7 @@ def _states_target(model: Model) -> bool:
     device, names = _device(model), [name for name in model.table.names if name in TARGET_PLACE]
     fixed = device is not None and model.table.matching(device.fixed_patterns())
     at_sensor = bool(names) and bool(np.all(fixed, where=model.table.matching(names)))
-    return at_sensor or any(effect.name == TARGET_EFFECT for effect in model.effects)
+    return at_sensor or model.has_effect(TARGET_EFFECT)
 
 
 def shows_pose(model: Model) -> bool:

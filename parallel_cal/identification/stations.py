@@ -162,7 +162,7 @@ def without_stations(model: Model) -> Model:
 
 
 def has_stations(model: Model) -> bool:
-    return any(effect.name == STATION_EFFECT for effect in model.effects)
+    return model.has_effect(STATION_EFFECT)
 
 
 def _find_stations(

@@ -218,6 +218,10 @@ class Model:
         require("name", name, "str", ModelError)
         return float(self.values[self.table.index_of(name)])
 
+    def has_effect(self, name: str) -> bool:
+        """Return whether the model has the effect with this name."""
+        return any(effect.name == name for effect in self.effects)
+
     def with_effect(self, name: str, settings: Mapping[str, float] | None = None) -> Model:
         """Return the model with one more effect, whose coefficients are zero; or, of an effect that
         it has, with a number that a joint has of its own.
@@ -243,7 +247,7 @@ class Model:
         """
         effect = load_effect(name)
         own = [key for key in settings or {} if effect.is_of_one_joint(key)]
-        if any(one.name == name for one in self.effects):
+        if self.has_effect(name):
             if own and len(own) == len(settings or {}):
                 return self.with_settings(name, settings or {})
             hint = f"; a joint that differs: {name}:JOINT.{effect.each}=..." if effect.each else ""
@@ -282,18 +286,23 @@ class Model:
         patterns = [pattern for one in own for pattern in one.fixed_patterns()]
         return self.table.matching(patterns) & self.fixed
 
+    def collect_own_constants(self, effect: Effect) -> dict[str, float]:
+        """Collect the constants that joints may have of their own in an effect, by joint; 0 where a
+        joint has the common one."""
+        numbers = self.table.mapping(self.values) if effect.each else {}
+        if f"{effect.name}.{effect.each}" not in numbers:
+            return {}
+        names = {joint: f"{effect.name}.{joint}.{effect.each}" for joint in self.joints}
+        return {joint: numbers[name] for joint, name in names.items() if name in numbers}
+
     def list_unused_numbers(self) -> set[str]:
         """List the settings of effects that no joint has: its own where it has the common one, and
         the common one where each joint has its own."""
-        numbers, unused = self.table.mapping(self.values), set[str]()
+        unused = set[str]()
         for effect in self.effects:
-            common = f"{effect.name}.{effect.each}"
-            if not effect.each or common not in numbers:
-                continue
-            own = [n for n in numbers if n.startswith(f"{effect.name}.") and n != common]
-            own = [n for n in own if effect.is_of_one_joint(n)]
-            absent = {n for n in own if not numbers[n]}
-            unused |= absent if absent or not own else {common}
+            own = self.collect_own_constants(effect)
+            absent = {f"{effect.name}.{joint}.{effect.each}" for joint in own if not own[joint]}
+            unused |= absent if absent or not own else {f"{effect.name}.{effect.each}"}
         return unused
 
     def robot(self) -> Model:

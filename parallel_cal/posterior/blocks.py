@@ -125,7 +125,7 @@ class Block(Cause):
         """Make a block of columns without what the geometry imitates."""
         products = list[tuple[np.ndarray, np.ndarray]]()
         for one in columns:
-            rounded = one.astype(float)
+            rounded = one.astype(float, copy=False)
             products.append((rounded.T @ rounded, residual @ rounded))
         roots = tuple(usual) or tuple(np.eye(one.shape[1]) for one in columns)
         each = [k % len(columns) for k in range(len(roots))]

@@ -16,7 +16,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import append_lines, json_lines, open_locked
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.causes.effects import has_effect, list_effect_blocks, list_effects_to_test, widen
+from parallel_cal.causes.effects import list_effect_blocks, list_effects_to_test, widen
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.thresholds import CREDIBLE
 from parallel_cal.fleet.cluster import (
@@ -183,7 +183,7 @@ def power(
         base = fit(model_of(question.model), simulate_session(question, own)[0], question.options)
         scene = Scene.of(base.model, base.dataset, base.observations, base.free, within=base.prior)
         names = list_effects_to_test(model_of(question.model), question.also)
-        names = [name for name in names if not has_effect(base.model, name)]
+        names = [name for name in names if not base.model.has_effect(name)]
         if unknown := [name for name in effects if name not in names]:
             raise ModelError(
                 f"effect '{unknown[0]}' does not exist, or the model already has it; "

@@ -238,7 +238,7 @@ class Expected:
 def extend_model(model: Model, dataset: Dataset) -> Model:
     """Add the effects of wear and temperature that the model lacks and the recording can show."""
     for name in (*WEAR, *WARMTH):
-        if any(effect.name == name for effect in model.effects):
+        if model.has_effect(name):
             continue
         try:
             extended = model.with_effect(name)

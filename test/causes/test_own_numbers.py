@@ -60,18 +60,26 @@ def test_equal_gears_have_one_ratio():
     assert named.settings == pytest.approx({"ratio": 12.4}, abs=0.3)
 
 
-def test_screws_of_one_robot_may_have_different_leads():
-    """Two axes with a lead of 5 mm, and one with 8 mm."""
-    leads = {"joint1": 5.1e-3, "joint2": 5.1e-3, "joint3": 8.2e-3}
+LEADS = {"joint1": 5.1e-3, "joint2": 5.1e-3, "joint3": 8.2e-3}  # m
+
+
+def with_screws(leads):
+    """Samples of a linear delta whose screws have these leads."""
     waves = ",".join(f"{joint}.sin={60e-6!r},{joint}.lead={v!r}" for joint, v in leads.items())
     noise = Noise(joint=2e-6, position=1e-5, orientation=1e-4)
     model = replace(new_model("linear_delta"), noise=noise)
     data = pc.simulate(model, 120, 4, effects=[f"screw_pitch_error:lead=5.1e-3,{waves}"]).dataset()
+    return model, data
+
+
+def test_screws_of_one_robot_may_have_different_leads():
+    """Two axes with a lead of 5 mm, and one with 8 mm."""
+    model, data = with_screws(LEADS)
     found = pc.diagnose(model, data)
     [named] = found.best.chosen
     assert named.name == "screw_pitch_error"
-    each = [named.settings.get(f"{joint}.lead", named.settings["lead"]) for joint in leads]
-    assert each == pytest.approx([*leads.values()], rel=0.02)
+    each = [named.settings.get(f"{joint}.lead", named.settings["lead"]) for joint in LEADS]
+    assert each == pytest.approx([*LEADS.values()], rel=0.02)
 
 
 def test_files_of_earlier_releases_have_one_number_for_all():
@@ -229,11 +237,7 @@ def test_a_joint_whose_number_differs_is_found_in_a_model_that_has_the_effect(
 
 @pytest.mark.wide
 def test_a_screw_that_differs_is_found_in_a_model_that_has_the_effect():
-    leads = {"joint1": 5.1e-3, "joint2": 5.1e-3, "joint3": 8.2e-3}
-    waves = ",".join(f"{joint}.sin={60e-6!r},{joint}.lead={v!r}" for joint, v in leads.items())
-    noise = Noise(joint=2e-6, position=1e-5, orientation=1e-4)
-    model = replace(new_model("linear_delta"), noise=noise)
-    data = pc.simulate(model, 120, 4, effects=[f"screw_pitch_error:lead=5.1e-3,{waves}"]).dataset()
+    model, data = with_screws(LEADS)
     has = add(model, "screw_pitch_error:lead=5.1e-3", data, force=True).model
     [named] = pc.diagnose(has, data).best.chosen
     assert named.settings == pytest.approx({"joint3.lead": 8.2e-3}, rel=0.02)

@@ -126,7 +126,7 @@ def _on_ring(model: Model, base: SledChains) -> tuple[Triangular, Sequence[str],
     remarks = []
     if np.ptp(lengths) > MAX_EQUAL_DIFFERENCE_M:
         remarks.append(LONGER.format("one chain", *(lengths - np.mean(lengths)) / MM))
-    sags = ("sag",) * any(effect.name == SAG for effect in model.effects)
+    sags = ("sag",) * model.has_effect(SAG)
     return ring, ("spacing", "height", "rotation", *SIDES, *sags), remarks
 
 

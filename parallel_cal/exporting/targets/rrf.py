@@ -210,7 +210,7 @@ def _cable(model: Model) -> Projection:
         raise ModelError(f"rrf: {why}, expected 4 to {len(ANCHORS)} and whole numbers")
     spools = np.array(cable.spools)
     radii = [model.value(f"spool{k}.R") for k in sorted({*spools})]
-    wound = "spool_buildup" in (effect.name for effect in model.effects)
+    wound = model.has_effect("spool_buildup")
     buildup = [model.value("spool_buildup.Q")] if wound else []
 
     def machine(v: np.ndarray) -> Machine:
