@@ -17,6 +17,7 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from parallel_cal.identification.fit import fit_unjudged
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
-from parallel_cal.model.model import Model
+from parallel_cal.model.model import Model, Noise
 from parallel_cal.recordings.dataset import Dataset
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,6 +47,9 @@ START, END = (
 )
 BINS = (0.5, 0.8, 0.95, 0.99, 1.0)
 FAMILIES = ("null", "single", "pairs", "outside", "device", "noise")
+# Families of which a quarter as many are diagnosed without stated noise, too.
+UNSTATED_FAMILIES = ("null", "single", "outside")
+AT_REST = 0.2  # of the noise of a joint: what it scatters within a dwell
 
 
 def explain(model: Model, data: Dataset) -> Explanation:
@@ -74,9 +78,16 @@ def sessions(draws: int, first: int) -> Iterator[tuple[str, list[list[str]], Any
     of_blind = blind.families(draws, first)
     for family in FAMILIES:
         for case in of_blind[family]("pose"):
-            right = [list(vf.KINDS[kind].names) for kind in case.kinds]
-            right += [list(vb.OF_DEVICE)] if case.device else []
-            yield f"{family} {case}", right, lambda case=case: _of_blind(case)
+            yield f"{family} {case}", _right(case), lambda case=case: _of_blind(case)
+    fewer = blind.families(max(draws // 4, 1), first)
+    for stated, forget in {"nothing": _forget_noise, "device": _forget_joint_noise}.items():
+        for family in UNSTATED_FAMILIES:
+            for case in fewer[family]("pose"):
+                yield (
+                    f"{stated} stated, {family} {case}",
+                    _right(case),
+                    lambda case=case, forget=forget: forget(*_of_blind(case)),
+                )
     for name, kind in new_effects.KINDS.items():
         for robot in kind.robots:
             for seed in range(first, first + max(draws // 4, 1)):
@@ -85,6 +96,30 @@ def sessions(draws: int, first: int) -> Iterator[tuple[str, list[list[str]], Any
                     [list(kind.names)],
                     lambda robot=robot, kind=kind, seed=seed: _of_new_effects(robot, kind, seed),
                 )
+
+
+def _right(case: blind.Case) -> list[list[str]]:
+    """For each hidden cause, the effects that are right for it."""
+    right = [list(vf.KINDS[kind].names) for kind in case.kinds]
+    return right + ([list(vb.OF_DEVICE)] if case.device else [])
+
+
+def _forget_noise(model: Model, data: Dataset) -> tuple[Model, Dataset]:
+    """The session of somebody who states no noise, and visits each pose once."""
+    once = data.select(np.unique(data.pose_id, return_index=True)[1])
+    unstated = replace(once, joint_sigma=None, pose_cov=np.zeros_like(once.pose_cov))
+    return replace(model, noise=Noise()), unstated
+
+
+def _forget_joint_noise(model: Model, data: Dataset) -> tuple[Model, Dataset]:
+    """The session of a device that states its noise, and of joints that show theirs at rest."""
+    once = data.select(np.unique(data.pose_id, return_index=True)[1])
+    joint = data.joint_sigma if data.joint_sigma is not None else model.joint_noise
+    at_rest = np.tile(AT_REST * np.asarray(joint), (len(once), 1))
+    return (
+        replace(model, noise=replace(model.noise, joint=None)),
+        replace(once, joint_sigma=None, scatter_q=at_rest),
+    )
 
 
 def _of_blind(case: blind.Case) -> tuple[Model, Dataset]:

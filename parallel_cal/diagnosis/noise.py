@@ -13,7 +13,6 @@ from parallel_cal.diagnosis.thresholds import REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.image_poses import IMAGE_SCATTER
-from parallel_cal.identification.observations import SCATTER
 from parallel_cal.identification.thresholds import MIN_DOF
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.replicates import subtract_visits_mean
@@ -103,10 +102,7 @@ class NoiseLevel:
             return cls(variance, seen.dof, words, seen, variance**0.5)
         if seen.variance is not None and seen.dof >= MIN_DOF:
             words = f"replicates ({seen.dof} degrees of freedom)"
-            from_jitter = SCATTER in sources and sources <= {*STATED, SCATTER}
-            exceeded = from_jitter and seen.contradicts_stated_noise and seen.variance > 1
-            ratio = seen.variance**0.5 if exceeded else None
-            return cls(seen.variance, seen.dof, words, seen, ratio, from_jitter)
+            return cls(seen.variance, seen.dof, words, seen, *_compare_with_jitter(scene))
         return cls(None, None, f"unknown ({', '.join(sorted(sources))})", seen)
 
     @property
@@ -144,6 +140,18 @@ class NoiseLevel:
             for p in (SIGNIFICANCE_LEVEL / 2, 1 - SIGNIFICANCE_LEVEL / 2)
         )
         return low * self.variance, high * self.variance
+
+
+def _compare_with_jitter(scene: Scene) -> tuple[float | None, bool]:
+    """By how many times visits of a pose differ more than samples within a dwell, if they do, and
+    whether this scatter is known."""
+    at_rest = scene.observations.at_rest
+    if at_rest is None:
+        return None, False
+    resting = Scene.of(scene.model, scene.dataset, at_rest, scene.free, within=scene.within)
+    seen = PureError.of(resting, Field.of(resting))
+    exceeded = seen.contradicts_stated_noise and seen.variance is not None and seen.variance > 1
+    return (seen.variance**0.5 if exceeded and seen.variance else None), True
 
 
 def advise_on_noise(result: FitResult, revisits: int) -> str:

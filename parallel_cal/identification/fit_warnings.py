@@ -11,7 +11,6 @@ from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICA
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.observations import (
     ESTIMATED,
-    SCATTER,
     NoiseFigure,
     Observations,
     list_noise,
@@ -147,15 +146,10 @@ def list_noise_warnings(
     low, high = chi2_band(estimate.dof)
     if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:
         size = "larger" if estimate.chi2_per_dof > high else "smaller"
-        guessed = [kind for kind, source in observations.noise_from.items() if source == SCATTER]
-        noise = "the stated noise"
-        if guessed:  # a robot that returns to a pose shows more than its jitter at rest
-            which = " and ".join(guessed)
-            noise = f"the jitter within dwells, used as the {which} noise because none is stated"
         shown = format_distinctly([estimate.chi2_per_dof, low, high])
         return [
             f"chi2/dof {shown[0]} is outside {shown[1]}..{shown[2]}: the residuals are {size} than "
-            f"{noise}"
+            "the stated noise"
         ]
     return []
 

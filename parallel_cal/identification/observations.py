@@ -22,8 +22,8 @@ from parallel_cal.recordings.samples import READING, list_channel_groups
 ASSUMED = "assumed"  # source of a noise that was not measured
 UNSTATED = "not stated"  # source of a noise that nothing is known about
 ESTIMATED = "estimated from the residuals"  # source of such a noise after a fit
-UNMEASURED = (ASSUMED, UNSTATED, ESTIMATED)
-SCATTER = "scatter within dwells"  # source of a noise that is not stated
+SCATTER = "scatter within dwells"  # which is less than a robot shows that returns to a pose
+UNMEASURED = (ASSUMED, UNSTATED, SCATTER, ESTIMATED)
 UNIT_NAMES = {"rad": "angular joints", "m": "linear joints"}
 
 
@@ -33,7 +33,8 @@ class UnknownNoise:
 
     `coordinates` (N, nq+6) and `channels` (N, n_channels) mark the entries that this guess scales.
     The guess has one value for each joint, so the proportions within the kind remain. `estimated`
-    is whether an estimate has replaced it.
+    is whether an estimate has replaced it. `times_jitter` is how many times as large it is as the
+    scatter within dwells; None where that was not measured.
     """
 
     name: str
@@ -41,6 +42,19 @@ class UnknownNoise:
     coordinates: np.ndarray
     channels: np.ndarray
     estimated: bool = False
+    times_jitter: float | None = None
+
+    @property
+    def source(self) -> str:
+        """Where its present size comes from."""
+        if self.estimated:
+            return ESTIMATED
+        return UNSTATED if self.times_jitter is None else SCATTER
+
+    def scale(self, factor: float) -> UnknownNoise:
+        """The same kind with a noise that is larger by a factor."""
+        jitter = self.times_jitter
+        return replace(self, times_jitter=None if jitter is None else factor * jitter)
 
     def select(self, index: np.ndarray) -> UnknownNoise:
         return replace(self, coordinates=self.coordinates[index], channels=self.channels[index])
@@ -117,7 +131,18 @@ class Observations:
             diagonal[kind.coordinates] *= factor**2
             if sigma is not None:
                 sigma = np.where(kind.channels, factor * sigma, sigma)
-        return replace(self, S=S, reading_sigma=sigma)
+        pairs = zip(self.unknown, factors.tolist(), strict=True)
+        unknown = tuple(kind.scale(factor) for kind, factor in pairs)
+        return replace(self, S=S, reading_sigma=sigma, unknown=unknown)
+
+    @property
+    def at_rest(self) -> Observations | None:
+        """The same with the scatter within dwells as the noise that is not stated; None if some of
+        this was not measured within dwells, or all is stated."""
+        jitter = [kind.times_jitter for kind in self.unknown]
+        if not jitter or None in jitter:
+            return None
+        return self.scale_unknown_noise(1 / np.array(jitter, dtype=float))
 
     def with_noise_of(self, other: Observations) -> Observations:
         """These samples with the noise that another fit used."""
@@ -191,7 +216,10 @@ def observe(
     if doubts and not insist:
         raise FitError(doubts)
     reading_sigma = np.broadcast_to(model.structure.standard_uncertainty, reading.shape).copy()
-    unknown = _list_unknown_noise(model, guessed, guessed_channels)
+    scattered = np.concatenate(
+        [np.tile(joint_from == SCATTER, n), (_pool_scatter(dataset.scatter_pose) > 0)]
+    )
+    unknown = _list_unknown_noise(model, guessed, guessed_channels, scattered)
     return Observations(
         x, S, measured, a, group, reading, noise_from, doubts, reading_sigma, unknown
     )
@@ -210,14 +238,12 @@ def _find_passive(model: Model, q: np.ndarray, a: np.ndarray) -> np.ndarray:
 def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
     """List the noise of joints, device and sensors: its rms over the samples."""
     sources = observations.noise_from
-    unknown = {
-        kind.name: ESTIMATED if kind.estimated else UNSTATED for kind in observations.unknown
-    }
+    unknown = {kind.name: kind.source for kind in observations.unknown}
     found = []
     for name, unit, own, rms in _measure_kinds(model, observations):
         source = sources["joint" if own[: len(model.joints)].any() else "pose"]
         # Another part of the joints or of the device may be the unknown one.
-        stated = "model file" if source in (UNSTATED, ESTIMATED) else source
+        stated = "model file" if source in (UNSTATED, SCATTER, ESTIMATED) else source
         found.append(NoiseFigure(name, rms, unit, unknown.get(name, stated)))
     sigma = observations.get_reading_sigma(model)
     for sensor in model.sensors:
@@ -276,15 +302,16 @@ def _kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:
 
 
 def _list_unknown_noise(
-    model: Model, guessed: np.ndarray, guessed_channels: np.ndarray
+    model: Model, guessed: np.ndarray, guessed_channels: np.ndarray, scattered: np.ndarray
 ) -> tuple[UnknownNoise, ...]:
-    """List the kinds of noise that the entries (N, nq+6) and channels (N, n_channels) guess."""
+    """List the kinds of noise that the entries (N, nq+6) and channels (N, n_channels) guess; the
+    guess of the columns `scattered` (nq+6,) is their scatter within dwells."""
     none, nowhere = np.zeros_like(guessed_channels), np.zeros_like(guessed)
-    found = [
-        UnknownNoise(name, unit, guessed & own, none)
-        for name, unit, own in _kinds(model)
-        if (guessed & own).any()
-    ]
+    found = list[UnknownNoise]()
+    for name, unit, own in _kinds(model):
+        if (own_guess := guessed & own).any():
+            jitter = 1.0 if scattered[own_guess.any(axis=0)].all() else None
+            found.append(UnknownNoise(name, unit, own_guess, none, times_jitter=jitter))
     for sensor in model.sensors:
         own = guessed_channels & np.isin(model.structure.channels, sensor.channels)
         if own.any():
@@ -312,7 +339,7 @@ def _joint_sigma(
         return sigma, UNSTATED if lacking.any() else "model file", lacking
     scatter = _pool_scatter(dataset.scatter_q[:, order])
     if (scatter > 0).all():
-        return scatter, SCATTER, nowhere
+        return scatter, SCATTER, ~nowhere
     return guess, UNSTATED, ~nowhere
 
 
@@ -361,7 +388,7 @@ def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str, n
         covariance[i][bad, :], covariance[i][:, bad] = 0.0, 0.0
         covariance[i][bad, bad] = sigma[bad] ** 2
     _check_definite(covariance, dataset)
-    assumed = np.isfinite(given) & noise.assumed
+    guessed = ~np.isfinite(given) | noise.assumed
     if not wanted.any():
         source = "dataset"
     elif (unstated & wanted).any():
@@ -370,7 +397,7 @@ def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str, n
         source = ASSUMED if noise.assumed else "model file"
     else:
         source = SCATTER
-    return covariance, source, lacking & (unstated | assumed)
+    return covariance, source, lacking & guessed
 
 
 def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:

@@ -91,11 +91,9 @@ def estimate_noise(
                     error[group] = one
             break
         groups = merged
-    kinds = zip(observations.unknown, np.isfinite(error).tolist(), strict=True)
-    scaled = replace(
-        observations.scale_unknown_noise(factors),
-        unknown=tuple(replace(kind, estimated=known) for kind, known in kinds),
-    )
+    scaled = observations.scale_unknown_noise(factors)
+    kinds = zip(scaled.unknown, np.isfinite(error).tolist(), strict=True)
+    scaled = replace(scaled, unknown=tuple(replace(one, estimated=known) for one, known in kinds))
     return EstimatedNoise(
         replace(scaled, noise_from=_name_sources(scaled, len(model.joints))),
         factors,

@@ -18,6 +18,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.observations import ESTIMATED, list_noise
 from parallel_cal.model.model import new_model
 from parallel_cal.posterior.evidence import Evidence
 from parallel_cal.posterior.scene import Scene
@@ -145,6 +146,20 @@ def test_visits_that_differ_by_more_than_the_jitter_within_dwells_are_not_at_noi
     assert "no further effect is needed" not in found.verdict.text
     assert found.noise.is_exceeded
     assert not found.effects
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_jitter_within_dwells_is_no_noise_by_which_residuals_are_errors(seed):
+    """The joints scatter by a fifth of their noise at rest, and the device states its own."""
+    data, noise = noisy(vb.white, seed), vr.THESIS_NOISE
+    jitter = replace(data, joint_sigma=None, scatter_q=np.full_like(data.q, noise.joint / 5))
+    alone = jitter.select(np.unique(jitter.pose_id, return_index=True)[1])
+    found = found_in(alone)
+    assert not found.effects
+    assert not found.explanation.laws
+    joints, *_ = list_noise(found.model, found.best.fitted.observations)
+    assert (joints.name, joints.source) == ("joints", ESTIMATED)
+    assert joints.value == pytest.approx(noise.joint, rel=0.15)
 
 
 @pytest.mark.wide
