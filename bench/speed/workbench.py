@@ -200,18 +200,19 @@ def time_page(browser: Any, session: Path, recordings: list[Path]) -> Iterator[R
 
 
 def _time_step(page: Any, meter: Meter, button: str, name: str, verdict: str) -> Iterator[Row]:
-    """Time a step: numbers of a part of many samples, then the verdict, of a part and of all."""
+    """Time a step: numbers of a part of many samples, a picture, then the verdict, of a part and of
+    all."""
     page.evaluate(DRAWN)
     meter.reset()
     clicked = time.time()
     page.get_by_role("button", name=button, exact=True).click()
     _wait_for(page, f"preliminary {name}|{name}:")
     yield meter.row(f"{name} to the first numbers")
-    _wait_for(page, verdict)
-    yield meter.row(f"{name} to the verdict")
     page.wait_for_function("began => window.drawn > began", arg=1e3 * clicked)
     drawn = page.evaluate("() => window.drawn / 1000")
     yield meter.row(f"{name} to its first picture", drawn - clicked)
+    _wait_for(page, verdict)
+    yield meter.row(f"{name} to the verdict")
     page.locator("#stage").wait_for(state="hidden")
     yield meter.row(f"{name} to the verdict of all samples")
     _rest(page)

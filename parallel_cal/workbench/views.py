@@ -83,8 +83,9 @@ FIT_TILES = ("before this step", "now", "noise floor")
 
 
 def fit_some_samples(session: Session) -> Iterator[View]:
-    """Make preliminary views of a fit from a part of many samples: its numbers, its verdict, then
-    all pictures; none if there are few. The fit of all samples takes minutes."""
+    """Make preliminary views of a fit from a part of many samples: its numbers, the pictures of its
+    residuals, its verdict, then those of what it lacks; none if there are few. The fit of all
+    samples takes minutes."""
     if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
         return
     how = session.options_for(some)
@@ -93,9 +94,12 @@ def fit_some_samples(session: Session) -> Iterator[View]:
     known = (step.errors_to_beat, result.held_out.summary, result.noise_floor)
     errors, sigmas = dict(zip(FIT_TILES, known, strict=True)), result.rms_sigmas(result.held_out)
     words = f"preliminary fit of {part}; fitting all samples"
-    yield NUMBERS_ONLY | _make_numbers(words, errors, sigmas)
+    numbers = _make_numbers(words, errors, sigmas)
+    yield NUMBERS_ONLY | numbers
+    shown = _make_comparison_view(compare(result.model, some, how.joint_sigma)) | numbers
+    yield shown
     found = diagnose_fitted(session.model, some, result)
-    yield _mark_preliminary(_make_answers_view(found), part)
+    yield _mark_preliminary(shown | _make_answers_view(found), part)
     yield _mark_preliminary(_make_report_view(report_of(found, vars(how))), part)
 
 

@@ -287,11 +287,15 @@ def test_a_page_shows_a_part_of_many_samples_first_and_says_so(folder, monkeypat
     assert views.view_some_samples(session) is None
     assert not list(views.fit_some_samples(session))
     monkeypatch.setattr(views, "MAX_PRELIMINARY_SAMPLES", 60)
-    numbers, verdict, judged = views.fit_some_samples(session)
-    assert "residuals" not in numbers | verdict
-    assert {*views.NUMBERS_ONLY, "answers", "tiles", "needs_poses", "find_law"} <= {*verdict}
-    said = {key: one for key, one in verdict.items() if key not in ("candidates", "untested")}
-    assert said == {key: judged[key] for key in said}
+    numbers, pictures, verdict, judged = views.fit_some_samples(session)
+    assert "residuals" not in numbers
+    # The pictures of the fit wait for no diagnosis, and stay while one is made.
+    assert numbers == {key: pictures[key] for key in numbers}
+    drawn = ("machine", "field", "residuals", "pictures", "samples", "measured")
+    assert [verdict[key] for key in drawn] == [pictures[key] for key in drawn]
+    assert pictures["residuals"] == judged["residuals"]
+    answers = ("answers", "verdict", "tiles", "effects", "offered", "needs_poses", "find_law")
+    assert [verdict[key] for key in answers] == [judged[key] for key in answers]
     assert verdict["tiles"][1]["values"] == numbers["tiles"][1]["values"]  # of one fit
     count = len(session.dataset.thinned(60))
     part = f"{count} of 94 samples, evenly spread over the recording"
