@@ -157,7 +157,8 @@ def run_cli(capsys):
 
 @pytest.fixture(scope="session", autouse=True)
 def temporary_folders(tmp_path_factory):
-    """Temporary files, logs and states of all tests lie where pytest removes them."""
-    tempfile.tempdir = str(tmp_path_factory.mktemp("t"))
+    """Temporary files, logs and states of all tests, and of the programs that they start, lie where
+    pytest removes them."""
+    tempfile.tempdir = os.environ["TMPDIR"] = str(tmp_path_factory.mktemp("t"))
     os.environ["ROS_HOME"] = tempfile.mkdtemp(prefix="ros_home")
     os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="state")

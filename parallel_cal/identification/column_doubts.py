@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, permutations, product
 from math import factorial
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,8 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.model.model import Model
 
 Array = np.ndarray
+
+Fitting = tuple[list[tuple["Guess", DevicePoses]], float]
 
 QUARTER_TURNS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
 LENGTHS = {  # factors to positions
@@ -186,11 +189,24 @@ def _choose_some(observations: Observations) -> Array:
     return np.unique(np.linspace(0, len(observations) - 1, MAX_GUESS_SAMPLES).astype(int))
 
 
-def _find_fitting_guesses(
-    model: Model, few: Observations
-) -> tuple[list[tuple[Guess, DevicePoses]], float]:
+_known: dict[tuple[Any, ...], Fitting] = {}  # of the samples that were doubted last
+
+
+def _find_fitting_guesses(model: Model, few: Observations) -> Fitting:
     """Return the guesses that fit clearly better than what was given and as well as the best, with
-    their poses; and the error of what was given."""
+    their poses; and the error of what was given. A fit asks before it begins, and again if it
+    fails: hundreds of guesses are judged once."""
+    numbers = few.x, few.S, few.measured, few.a, few.group, model.values, model.table.tolerance
+    key = model.structure, *(part.tobytes() for part in (*numbers, np.asarray(model.fixed)))
+    found = _known.get(key)
+    if found is None:
+        found = _judge_guesses(model, few)
+        _known.clear()
+        _known[key] = found
+    return found
+
+
+def _judge_guesses(model: Model, few: Observations) -> Fitting:
     n = len(model.joints)
     placed, turned = (
         bool(few.measured[:, part].any()) for part in (slice(n, n + 3), slice(n + 3, None))

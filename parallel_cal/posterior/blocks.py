@@ -135,8 +135,9 @@ class Block(Cause):
         for i, (root, k) in enumerate(zip(roots, each, strict=True)):
             gram, with_residual = products[k]
             p, n = root.shape
-            squares[i, :n], rotation = np.linalg.eigh(root.T @ gram @ root)
-            turns[i, :p, :n] = root @ rotation
+            # Roots are identities where no `usual` is given: no products with large ones.
+            squares[i, :n], rotation = np.linalg.eigh(root.T @ gram @ root if usual else gram)
+            turns[i, :p, :n] = root @ rotation if usual else rotation
             onto[i] = with_residual @ turns[i, :p]
         largest = squares.max(axis=0, initial=0.0)
         if not (largest > NO_COLUMN**2).any():

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+from functools import cache
+
 import numpy as np
 import virtual_findings as vf
 from datasets import JOINTS, quiet
@@ -105,7 +108,13 @@ def sized(make, first, wanted, day, noise, seed):
 
 
 def hiding(kinds, wanted, seed, noise=None):
-    """A dataset of 150 samples that hides one effect of each kind at the wanted size."""
+    """A dataset of 150 samples that hides one effect of each kind at the wanted size: a copy of
+    what was drawn first, since the effect is sized by several fits."""
+    return deepcopy(_drawn(tuple(kinds), wanted, seed, noise))
+
+
+@cache
+def _drawn(kinds, wanted, seed, noise):
     day = vf.session(seed)
     noise = noise or min((k.noise for k in kinds), key=lambda n: n.position)
     effects = [sized(k.make, k.size, wanted, day, noise, seed) for k in kinds]

@@ -65,6 +65,13 @@ def test_other_columns_are_named_only_if_they_fit_better_than_what_is_known(sess
     assert doubt(exchanged(session), most=5e-5) == ""
 
 
+def test_guesses_about_other_samples_are_judged_anew(session):
+    """Those about the same samples are kept."""
+    assert doubt(exchanged(session))
+    assert doubt(session) == ""
+    assert doubt(exchanged(session))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -10,6 +10,7 @@ import virtual_crane
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli import main as cli
+from parallel_cal.identification import column_doubts
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.shelf import load_mechanism
@@ -120,8 +121,18 @@ def test_a_drive_for_joints_that_are_angles_is_refused(tmp_path, capsys):
     assert not (tmp_path / "delta.yaml").exists()
 
 
-def test_a_model_of_another_machine_is_told_apart_from_one_that_needs_no_change(tmp_path, capsys):
-    """The motors turn the other way: a point on eight lines cannot move so."""
+def test_a_model_of_another_machine_is_told_apart_from_one_that_needs_no_change(
+    tmp_path, capsys, monkeypatch
+):
+    """The motors turn the other way: a point on eight lines cannot move so. What its samples may
+    mean is asked before the fit and after it, and judged once: that takes 13 s."""
+    judged, judge = [], column_doubts._judge_guesses
+
+    def judge_counted(*given):
+        judged.append(given)
+        return judge(*given)
+
+    monkeypatch.setattr(column_doubts, "_judge_guesses", judge_counted)
     points = virtual_crane.ANCHORS.round(3).tolist()
     options = [f"--option=anchors={points}", "--option=radius=0.05", "--option=gear=10"]
     assert run("new", "cable", *options, "-o", tmp_path / "point.yaml") == 0
@@ -136,3 +147,4 @@ def test_a_model_of_another_machine_is_told_apart_from_one_that_needs_no_change(
     [share] = re.findall(r"(\d+) % of their measured motion \(1002 mm rms\)", words)
     assert int(share) > 50  # in a fit to what no such robot can do, the number says no more
     assert "the drive (spool, screw or belt) of each joint" in words
+    assert len(judged) == 1

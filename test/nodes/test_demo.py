@@ -5,12 +5,14 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from waits import children, wait_until
 
-from parallel_cal.model.file.modelfile import model_hash
+from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.nodes import demo
 from parallel_cal.session.session import Session
 from parallel_cal.virtual.kinds import kinds_of
@@ -18,9 +20,8 @@ from parallel_cal.virtual.kinds import kinds_of
 REPOSITORY = Path(__file__).parents[2]
 
 
-def start(*arguments, **environment):
-    call = f"main({', '.join(arguments)})"
-    code = f"import sys; from parallel_cal.nodes.demo import main; sys.exit({call})"
+def start(**environment):
+    code = "import sys; from parallel_cal.nodes.demo import main; sys.exit(main())"
     return subprocess.Popen(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,
@@ -32,20 +33,36 @@ def start(*arguments, **environment):
 
 @pytest.mark.wide
 @pytest.mark.ros
-def test_the_demo_finds_what_is_hidden_and_stops_at_the_noise(tmp_path):
-    given = ("json=True", "effect='backlash'", "seed=2")
-    demo_process = start(*given, TMPDIR=str(tmp_path))
-    out, err = demo_process.communicate(timeout=400)
-    assert demo_process.returncode == 0, err
-    document = json.loads(out)
+def test_the_demo_finds_what_is_hidden_and_stops_at_the_noise(tmp_path, monkeypatch, capsys):
+    """The robot calibrates itself through the real nodes, and what it lacks is in its file."""
+    calibrate = pytest.importorskip("parallel_cal.nodes.calibrate")
+    states, results, run = set(), [], calibrate.Calibration.run
+
+    def run_recorded(self, hear, *given, **goal):
+        def hear_recorded(status):
+            states.add(status.state)
+            hear(status)
+
+        results.append(run(self, hear_recorded, *given, **goal))
+        return results[0]
+
+    monkeypatch.setattr(calibrate.Calibration, "run", run_recorded)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with mock.patch.dict(os.environ):  # the demo enters a ROS domain of its own
+        assert demo.main(json=True, effect="backlash", seed=2) == 0
+    [result], document = results, json.loads(capsys.readouterr().out)
+    assert result.success, result.message
+    assert result.verdict == "explained"
+    assert states >= {"planning", "moving", "sampling", "asking", "judging", "done"}
     assert (document["hidden"], document["effects"]) == ("backlash", ["backlash"])
     assert document["success"]
     first, last = document["curve"][0], document["curve"][-1]
     assert first["poses"] == 0
     assert last["poses"] == document["poses"] <= demo.POSES
     assert last["error_unseen"] < 2 * 29e-6 < 10 * first["error_unseen"]
-    (model,) = tmp_path.glob("*/robot.yaml")
-    assert model_hash(model.read_text()) == document["hash"]
+    (file,) = tmp_path.glob("*/robot.yaml")
+    assert model_hash(file.read_text()) == document["hash"]
+    assert [effect.name for effect in read_model(file).effects] == ["backlash"]
     found = Session(Path(document["folder"])).model
     assert [effect.name for effect in found.effects] == ["backlash"]
 

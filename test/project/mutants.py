@@ -334,6 +334,13 @@ MUTANTS = (
     ),
     Mutant(
         "identification/column_doubts.py",
+        "numbers = few.x, few.S,",
+        "numbers = few.S,",
+        "what other samples may mean is said of these",
+        "test_column_doubts.py::test_guesses_about_other_samples_are_judged_anew",
+    ),
+    Mutant(
+        "identification/column_doubts.py",
         "        if error * MIN_GUESS_ERROR_RATIO < before\n",
         "        if error < before\n",
         "another machine is taken for one whose motors are in the wrong columns",

@@ -6,6 +6,7 @@ import sys
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
@@ -289,3 +290,15 @@ def test_a_private_module_is_imported_by_its_own_folder_only():
         "parallel_cal.effects._lines",
         "parallel_cal.effects._statics",
     }
+
+
+@pytest.mark.wide
+def test_the_picture_of_the_rooms_is_that_of_the_code():
+    file = TESTS.parent / "docs" / "rooms.py"
+    rooms = module_from_spec(spec := spec_from_file_location("rooms", file))
+    spec.loader.exec_module(rooms)
+    assert rooms.PICTURE.read_text(encoding="utf-8") == rooms.picture(), "python docs/rooms.py"
+    shown = rooms.imported()
+    assert all((a, b) in rooms.arrows() for a, b in [("model", "base"), ("reporting", "discovery")])
+    assert ("cli", "base") not in rooms.arrows()  # it follows from others
+    assert "base" in shown["cli"]

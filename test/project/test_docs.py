@@ -14,7 +14,6 @@ import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
 from io import StringIO
 from pathlib import Path
 
@@ -370,15 +369,3 @@ def test_the_picture_of_the_front_page_has_colours_for_the_dark_mode_and_no_grou
     picture = (ROOT / name).read_text(encoding="utf-8")
     assert "prefers-color-scheme: dark" in picture
     assert "#ffffff" not in picture
-
-
-@pytest.mark.wide
-def test_the_picture_of_the_rooms_is_that_of_the_code():
-    file = ROOT / "docs" / "rooms.py"
-    rooms = module_from_spec(spec := spec_from_file_location("rooms", file))
-    spec.loader.exec_module(rooms)
-    assert rooms.PICTURE.read_text(encoding="utf-8") == rooms.picture(), "python docs/rooms.py"
-    shown = rooms.imported()
-    assert all((a, b) in rooms.arrows() for a, b in [("model", "base"), ("reporting", "discovery")])
-    assert ("cli", "base") not in rooms.arrows()  # it follows from others
-    assert "base" in shown["cli"]
