@@ -610,7 +610,7 @@ def test_a_controlled_coordinate_without_a_column_is_an_error(run, tmp_path):
     write_model(new_model("five_bar"), tmp_path / "m.yaml")
     (tmp_path / "p.csv").write_text("x,z\n0,0\n")
     result = run("inverse", tmp_path / "m.yaml", "--input", tmp_path / "p.csv")
-    fails(result, "header 'x,z'; expected the columns x,y (and may have z)")
+    fails(result, "header 'x,z' (missing: y); expected the columns x,y (and may have z)")
 
 
 def test_a_table_may_carry_conditions(document, tmp_path):
@@ -681,8 +681,9 @@ def test_without_output_the_table_goes_to_stdout(run, tmp_path):
 def test_a_malformed_table_is_a_clear_error_and_writes_nothing(run, tmp_path):
     for text, word in (
         ("", "empty; expected a header"),
-        ("a,b,c\n1,2,3\n", "header 'a,b,c'; expected the columns joint1,joint2,joint3"),
-        ("joint1,joint2,joint2\n1,2,3\n", "expected the columns"),
+        ("a,b,c\n1,2,3\n", "header 'a,b,c' (missing: joint1,joint2,joint3; unknown: a,b,c); "),
+        ("joint1,joint2,joint3,speed\n1,2,3,4\n", "(unknown: speed); expected the columns joint1"),
+        ("joint1,joint2,joint2\n1,2,3\n", "(missing: joint3; repeated: joint2); expected the"),
     ):
         (tmp_path / "q.csv").write_text(text)
         result = run(
@@ -693,6 +694,16 @@ def test_a_malformed_table_is_a_clear_error_and_writes_nothing(run, tmp_path):
     fails(run("direct", DELTA24, "--input", tmp_path / "q.csv"), "it is not text")
     fails(run("direct", DELTA24, "--input", tmp_path / "no.csv"), "cannot be read")
     assert not (tmp_path / "p.csv").exists()
+
+
+def test_columns_of_a_table_that_change_nothing_are_named(run, tmp_path):
+    """They were ignored without a word; a direction needs the name of its joint."""
+    q, pose = "joint1,joint2,joint3", "x,y,z"
+    for command, header in (("direct", q), ("inverse", pose)):
+        (tmp_path / "t.csv").write_text(f"{header},temperature,direction\n0,0,0.2,25,1\n")
+        code, _, err = run(command, DELTA24, "--input", tmp_path / "t.csv")
+        assert code == 0
+        assert "warning: no effect of the model depends on temperature, direction\n" in err
 
 
 def test_an_output_that_cannot_be_written_is_a_clear_error(run, tmp_path):
