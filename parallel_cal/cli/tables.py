@@ -31,6 +31,7 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.columns import si_unit
+from parallel_cal.recordings.header_names import index_names
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 
 POSITION = ("x", "y", "z")
@@ -51,13 +52,17 @@ class _SiTable:
     offsets: tuple[float, ...]
 
     @classmethod
-    def of(cls, table: Table, model: Model, units: Mapping[str, str]) -> _SiTable:
+    def of(
+        cls, table: Table, model: Model, units: Mapping[str, str], any_case: Sequence[str] = ()
+    ) -> _SiTable:
         """Read the units in a header, `leg1 [mm]`; columns without a unit are in SI units.
 
-        `units` are the SI units of the quantities that are no conditions. SolveError for a unit of
-        another quantity.
+        `units` are the SI units of the quantities that are no conditions. Names in `any_case` may
+        be in capitals. SolveError for a unit of another quantity.
         """
-        columns = [_read_word(table, word, model, units) for word in table.header]
+        given = index_names([split_unit(word)[0] for word in table.header])
+        own = {given[name]: name for name in any_case if name in given}
+        columns = [_read_word(table, word, model, units, own) for word in table.header]
         return cls(table, *zip(*columns, strict=True))
 
     def column(self, name: str) -> np.ndarray:
@@ -96,10 +101,12 @@ class _SiTable:
 
 
 def _read_word(
-    table: Table, word: str, model: Model, units: Mapping[str, str]
+    table: Table, word: str, model: Model, units: Mapping[str, str], own: Mapping[str, str]
 ) -> tuple[str, float, float]:
-    """Return the name of a column, and the factor and the offset to its SI unit."""
+    """Return the name of a column, and the factor and the offset to its SI unit; `own` has names of
+    quantities by those of columns."""
     name, unit = split_unit(word)
+    word, name = own.get(word, word), own.get(name, name)
     if word not in units and name in units and unit:
         if unit not in UNITS or si_unit(unit) != units[name]:
             raise SolveError(
@@ -171,7 +178,7 @@ def inverse_table(
     """
     m = model.mechanism
     units = {name: "m" if name in POSITION else "rad" for name in POSE}
-    table = _SiTable.of(read_table(path), model, units)
+    table = _SiTable.of(read_table(path), model, units, (*POSE, *QUATERNION))
     given = [i for i, name in enumerate(POSE) if name in table.header]
     wanted, optional = _pose_columns(m, {*table.header})
     table.check(wanted, [*optional, *model.conditions], model)

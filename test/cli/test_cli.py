@@ -613,6 +613,18 @@ def test_a_controlled_coordinate_without_a_column_is_an_error(run, tmp_path):
     fails(result, "header 'x,z' (missing: y); expected the columns x,y (and may have z)")
 
 
+def test_names_of_coordinates_may_be_in_capitals_as_of_a_recording(document, tmp_path):
+    """`X,Y` was refused."""
+    found = []
+    for header in ("x,y,z,qx,qy,qz,qw", "X [mm],Y [mm],Z [mm],QX,QY,QZ,QW"):
+        length = 1e3 if "mm" in header else 1.0
+        row = f"{0.01 * length},{0.02 * length},{0.25 * length},0,0,0,1"
+        (tmp_path / "p.csv").write_text(f"{header}\n{row}\n")
+        found += document("inverse", DELTA24, "--input", tmp_path / "p.csv")["solutions"]
+    plain, capitals = found
+    assert capitals["joints"] == pytest.approx(plain["joints"], abs=1e-12)
+
+
 def test_a_table_may_carry_conditions(document, tmp_path):
     write_model(
         new_model("delta24", {"backlash.joint1.width": 0.001}, ["backlash"]), tmp_path / "m.yaml"
