@@ -718,6 +718,21 @@ def test_columns_of_a_table_that_change_nothing_are_named(run, tmp_path):
         assert "warning: no effect of the model depends on temperature, direction\n" in err
 
 
+@pytest.mark.parametrize("rows", ["", "\n , ,\n"])
+def test_a_table_without_rows_is_an_error_of_every_command(run, tmp_path, rows):
+    """`direct` and `inverse` answered with an empty table, and exit 0."""
+    file = tmp_path / "t.csv"
+    for command in ("direct", "inverse"):
+        header = "joint1,joint2,joint3" if command == "direct" else "x,y,z"
+        file.write_text(f"{header}\n{rows}")
+        result = run(command, DELTA24, "--input", file, "--output", tmp_path / "p.csv")
+        fails(result, f"t.csv: no rows below the header '{header}'; expected a line of numbers")
+        assert not (tmp_path / "p.csv").exists()
+    file.write_text(f"joint1 [rad],joint2 [rad],joint3 [rad],x [m],y [m],z [m]\n{rows}")
+    for command in ("info", "compare", "fit", "diagnose"):
+        fails(run(command, *([] if command == "info" else [DELTA24]), file), "t.csv: no rows below")
+
+
 def test_an_output_that_cannot_be_written_is_a_clear_error(run, tmp_path):
     (tmp_path / "q.csv").write_text("joint1,joint2,joint3\n.5,.5,.5\n")
     result = run(
