@@ -114,11 +114,11 @@ class Step(ShownInNotebook):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of the fit, and the objection to the new model if it was forced."""
+        """The objection to the new model if it was forced, and the warnings of the fit."""
         against = self.acceptance.against
         if not against:
             return self.result.warnings
-        return (*(words for words in self.result.warnings if words not in against), against)
+        return (against, *(words for words in self.result.warnings if words not in against))
 
     def with_reason(self, reason: str) -> Step:
         """Return the step with the owner's reason for it in the last entry of its history."""
