@@ -68,7 +68,11 @@ Input = Annotated[
     ),
 ]
 Output = Annotated[
-    Path | None, typer.Option("--output", help="CSV table to write, with a solution in each row")
+    Path | None,
+    typer.Option(
+        "--output",
+        help="CSV table to write: the given one with a solution in each row, in SI units (m, rad)",
+    ),
 ]
 
 

@@ -61,8 +61,8 @@ class _SiTable:
         be in capitals. SolveError for a unit of another quantity.
         """
         given = index_names([split_unit(word)[0] for word in table.header])
-        own = {given[name]: name for name in any_case if name in given}
-        columns = [_read_word(table, word, model, units, own) for word in table.header]
+        meant = {given[name]: name for name in any_case if name in given}
+        columns = [_read_word(table, word, model, units, meant) for word in table.header]
         return cls(table, *zip(*columns, strict=True))
 
     def column(self, name: str) -> np.ndarray:
@@ -101,12 +101,12 @@ class _SiTable:
 
 
 def _read_word(
-    table: Table, word: str, model: Model, units: Mapping[str, str], own: Mapping[str, str]
+    table: Table, word: str, model: Model, units: Mapping[str, str], meant: Mapping[str, str]
 ) -> tuple[str, float, float]:
-    """Return the name of a column, and the factor and the offset to its SI unit; `own` has names of
-    quantities by those of columns."""
+    """Return the name of a column, and the factor and the offset to its SI unit; `meant` has names
+    of quantities by those of columns."""
     name, unit = split_unit(word)
-    word, name = own.get(word, word), own.get(name, name)
+    word, name = meant.get(word, word), meant.get(name, name)
     if word not in units and name in units and unit:
         if unit not in UNITS or si_unit(unit) != units[name]:
             raise SolveError(

@@ -682,6 +682,21 @@ def test_a_table_may_state_its_units_in_the_header(run, document, tmp_path):
     assert out.startswith("leg1 [mm],leg2 [mm],")  # the given cells stay as they are
 
 
+def test_the_columns_that_are_added_to_a_table_are_in_si_units_whatever_it_has(run, tmp_path):
+    """A position_difference beside `z [mm]` is in m, and the help says so."""
+    robot = tmp_path / "plane.yaml"
+    write_model(new_model("five_bar"), robot)
+    x, y, _ = (1e3 * v for v in new_model("five_bar").mechanism.home.position)
+    (tmp_path / "p.csv").write_text(f"x [mm],y [mm],z [mm]\n{x},{y},2\n")
+    run("inverse", robot, "--input", tmp_path / "p.csv", "--output", tmp_path / "q.csv")
+    (row,) = rows(tmp_path / "q.csv")
+    assert float(row["position_difference"]) == pytest.approx(2e-3, abs=1e-9)
+    for command in ("direct", "inverse"):
+        assert "in SI units (m, rad)" in " ".join(
+            run(command, "--help")[1].replace("│", "").split()
+        )
+
+
 def test_without_output_the_table_goes_to_stdout(run, tmp_path):
     (tmp_path / "q.csv").write_text("joint1,joint2,joint3\n.5,.5,.5\n")
     code, out, err = run("direct", DELTA24, "--input", tmp_path / "q.csv")
