@@ -3,7 +3,8 @@
 A Delta and a hexapod of points and rods (parallel_cal/virtual, which shares nothing with the rest
 of the package) are calibrated with 100 poses of a tracker (30 um). Later something may have
 changed: nothing; the zero of one joint by 1, 3 or 10 times its usual drift (0.5 mrad or 50 um); all
-zeros by it; the workshop by 15 K; a rod or leg by 0.2 mm; the tracker by 0.3 mm. The poses of
+zeros by it; the workshop by 15 K; a rod or leg by 0.2 mm; the tracker by 0.3 mm; a zero by 10 times
+its usual drift and the tracker. The poses of
 `plan --update` are measured in their order until `recheck` is certain; if the robot has drifted,
 until a model updated with them is nearly as certain as the calibration was, as `calibrate --update`
 does.
@@ -43,7 +44,7 @@ EXPANSION, WARMTH_K, ROD_M, STAND_M = 12e-6, 15.0, 0.2e-3, 0.3e-3
 RIGHT = {"nothing": UNCHANGED, "tracker 0.3 mm": DEVICE_MOVED}
 CHANGES = (
     *("nothing", "zero, 1", "zero, 3", "zero, 10", "all zeros, 1", "15 K", "rod 0.2 mm"),
-    "tracker 0.3 mm",
+    *("tracker 0.3 mm", "zero, 10; tracker 0.3 mm"),
 )
 
 
@@ -98,7 +99,12 @@ class Kind:
         )
 
     def change(self, state: State, name: str, rng: np.random.Generator) -> tuple[State, str]:
-        """The robot after a change, and the part that it concerns."""
+        """The robot after a change, and the part that it concerns; `;` joins two."""
+        if "; " in name:
+            first, then = name.split("; ")
+            state, part = self.change(state, first, rng)
+            state, other = self.change(state, then, rng)
+            return state, f"{other} and {part}"
         zeros, joint = state.zeros.copy(), int(rng.integers(len(state.zeros)))
         if name.startswith("zero"):
             zeros[joint] += rng.choice([-1, 1]) * float(name.split(", ")[1]) * self.zero

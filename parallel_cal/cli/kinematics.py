@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -68,7 +68,11 @@ Input = Annotated[
     ),
 ]
 Output = Annotated[
-    Path | None, typer.Option("--output", help="CSV table to write, with a solution in each row")
+    Path | None,
+    typer.Option(
+        "--output",
+        help="CSV table to write: the given one with a solution in each row, in SI units (m, rad)",
+    ),
 ]
 
 
@@ -103,6 +107,7 @@ def direct(
     if table is not None:
         answer = direct_table(robot, table, conditions, solver, covariance)
         _output_table(answer, output, as_json)
+        _warn_unused(answer.unused)
         return warn(answer.found, answer.conditions, answer.explained)
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
@@ -143,6 +148,7 @@ def inverse(
     if table is not None:
         answer = inverse_table(robot, table, conditions, solver, covariance)
         _output_table(answer, output, as_json)
+        _warn_unused(answer.unused)
         missed = answer.differences and answer.differences.describe(robot.mechanism)
         return console.warn(
             [*_list_region_warnings(answer.found, robot, answer.conditions), *(missed or ())]
@@ -199,10 +205,13 @@ def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model,
 
     model = read_model(path).robot()
     conditions = parse_conditions(model, at or [])
-    unused = [name for name in conditions if name not in model.conditions]
-    if unused:
-        console.warn([f"no effect of the model depends on {', '.join(unused)}"])
+    _warn_unused([name for name in conditions if name not in model.conditions])
     return model, conditions
+
+
+def _warn_unused(conditions: Sequence[str]) -> None:
+    if conditions:
+        console.warn([f"no effect of the model depends on {', '.join(conditions)}"])
 
 
 def _list_region_warnings(

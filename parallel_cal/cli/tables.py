@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -31,6 +31,7 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.columns import si_unit
+from parallel_cal.recordings.header_names import index_names
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 
 POSITION = ("x", "y", "z")
@@ -51,13 +52,17 @@ class _SiTable:
     offsets: tuple[float, ...]
 
     @classmethod
-    def of(cls, table: Table, model: Model, units: Mapping[str, str]) -> _SiTable:
+    def of(
+        cls, table: Table, model: Model, units: Mapping[str, str], any_case: Sequence[str] = ()
+    ) -> _SiTable:
         """Read the units in a header, `leg1 [mm]`; columns without a unit are in SI units.
 
-        `units` are the SI units of the quantities that are no conditions. SolveError for a unit of
-        another quantity.
+        `units` are the SI units of the quantities that are no conditions. Names in `any_case` may
+        be in capitals. SolveError for a unit of another quantity.
         """
-        columns = [_read_word(table, word, model, units) for word in table.header]
+        given = index_names([split_unit(word)[0] for word in table.header])
+        meant = {given[name]: name for name in any_case if name in given}
+        columns = [_read_word(table, word, model, units, meant) for word in table.header]
         return cls(table, *zip(*columns, strict=True))
 
     def column(self, name: str) -> np.ndarray:
@@ -70,28 +75,38 @@ class _SiTable:
         return np.column_stack([self.column(name) for name in names])
 
     def check(self, wanted: Sequence[str], optional: Sequence[str], model: Model) -> _SiTable:
-        """Return self; SolveError if wanted columns are missing, or others than the optional ones
-        exist.
-
-        Conditions that the model does not depend on may stand in the table: they change nothing.
-        """
+        """Return self; SolveError if wanted columns are missing, or if the table has others than
+        these, the optional ones and conditions."""
         header = self.header
         known = {*wanted, *optional, *(name for name in header if _is_condition(model, name))}
-        if not {*wanted} <= {*header} <= known or len(set(header)) < len(header):
+        faults = {
+            "missing": [name for name in wanted if name not in header],
+            "repeated": [name for name, n in Counter(header).items() if n > 1],
+            "unknown": [name for name in header if name not in known],
+        }
+        if any(faults.values()):
             also = f" (and may have {', '.join(optional)})" if optional else ""
+            what = "; ".join(f"{kind}: {','.join(one)}" for kind, one in faults.items() if one)
             raise SolveError(
-                f"{self.table.path}:1: header '{','.join(self.table.header)}'; expected the "
-                f"columns {','.join(wanted)}{also}, in SI units or with a unit in brackets, "
+                f"{self.table.path}:1: header '{','.join(self.table.header)}' ({what}); expected "
+                f"the columns {','.join(wanted)}{also}, in SI units or with a unit in brackets, "
                 "such as [mm] or [deg]"
             )
         return self
 
+    def list_unused(self, model: Model, used: Collection[str]) -> tuple[str, ...]:
+        """List the columns that change nothing: conditions on which the model does not depend."""
+        pairs = zip(self.table.header, self.header, strict=True)
+        return tuple(word for word, name in pairs if name not in {*used, *model.conditions})
+
 
 def _read_word(
-    table: Table, word: str, model: Model, units: Mapping[str, str]
+    table: Table, word: str, model: Model, units: Mapping[str, str], meant: Mapping[str, str]
 ) -> tuple[str, float, float]:
-    """Return the name of a column, and the factor and the offset to its SI unit."""
+    """Return the name of a column, and the factor and the offset to its SI unit; `meant` has names
+    of quantities by those of columns."""
     name, unit = split_unit(word)
+    word, name = meant.get(word, word), meant.get(name, name)
     if word not in units and name in units and unit:
         if unit not in UNITS or si_unit(unit) != units[name]:
             raise SolveError(
@@ -119,7 +134,8 @@ def _is_condition(model: Model, name: str) -> bool:
 class Answer(NamedTuple):
     """The solutions of a table: as CSV, as numbers with their covariances (N, n, n) if these were
     asked for, the conditions of its rows, the explained residuals (N,) of a robot with more joints
-    than freedoms, and the differences of an inverse problem's solutions from the given poses."""
+    than freedoms, the differences of an inverse problem's solutions from the given poses, and the
+    columns that changed nothing."""
 
     text: str
     found: Solutions
@@ -127,6 +143,7 @@ class Answer(NamedTuple):
     conditions: Conditions
     explained: np.ndarray | None = None
     differences: Differences | None = None
+    unused: tuple[str, ...] = ()
 
 
 def direct_table(
@@ -147,7 +164,8 @@ def direct_table(
     explained = explained_residuals(model, found, conditions)
     more = {} if explained is None else {"explained_residual": explained}
     text = _text(table.table, names, values, found, POSE, known, more)
-    return Answer(text, found, known, conditions, explained)
+    unused = table.list_unused(model, model.joints)
+    return Answer(text, found, known, conditions, explained, unused=unused)
 
 
 def inverse_table(
@@ -160,7 +178,7 @@ def inverse_table(
     """
     m = model.mechanism
     units = {name: "m" if name in POSITION else "rad" for name in POSE}
-    table = _SiTable.of(read_table(path), model, units)
+    table = _SiTable.of(read_table(path), model, units, (*POSE, *QUATERNION))
     given = [i for i, name in enumerate(POSE) if name in table.header]
     wanted, optional = _pose_columns(m, {*table.header})
     table.check(wanted, [*optional, *model.conditions], model)
@@ -192,7 +210,8 @@ def inverse_table(
     differences = Differences.of(found, asked[:, :3] if has_places else None, R)
     more = {f"{kind}_difference": size for kind, size in differences.uncontrolled(m).items()}
     text = _text(table.table, model.joints, found.joints, found, model.joints, known, more)
-    return Answer(text, found, known, conditions, differences=differences)
+    unused = table.list_unused(model, (*wanted, *optional))
+    return Answer(text, found, known, conditions, differences=differences, unused=unused)
 
 
 def _pose_columns(m: Mechanism, header: set[str]) -> tuple[list[str], list[str]]:

@@ -198,13 +198,15 @@ class Diagnosis(ShownInNotebook):
                 part = f" ({addition.acceptance.description})"
             added = shlex.quote(addition.text)
             adds.append(f"add what was found{part}: parallel-cal add MODEL {added} {options}")
-        if self.doubted is not None:
+        if (doubted := self.doubted) is not None:
             what = "what errs" if self.addition is None else "all of it"
-            refused = " (until then, add refuses)" if self.doubted.acceptance.against else ""
-            adds.append(
-                f"once you know whether the robot or the device errs{refused}, "
-                f"add {what}: parallel-cal add MODEL {shlex.quote(self.doubted.text)} {options}"
-            )
+            judged = doubted.acceptance
+            force = " --force" if judged.against else ""  # the samples do not tell what errs
+            if judged.device_may_err or not judged.against:
+                adds.append(
+                    f"once you know whether the robot or the device errs, add {what}: "
+                    f"parallel-cal add MODEL {shlex.quote(doubted.text)} {options}{force}"
+                )
         if self.leaves_an_error and self.left != "no":
             if self.noise.variance is None and not self.explanation.laws:
                 advice.append(advise_on_noise(self.best.fitted, self.noise.pure_error.dof))

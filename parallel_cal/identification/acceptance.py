@@ -162,11 +162,12 @@ def _refuse_unjudged(new: FitResult, old: FitResult | None) -> Acceptance:
 
 
 def _describe_useless_update(new: FitResult, drift: Recheck) -> str:
-    """Say that the robot did not drift, or that its updated model is expected to be worse than the
-    last calibration; empty if neither is so."""
-    if drift.is_robot_unchanged or drift.expected is None:
-        return drift.warnings[0] if drift.is_robot_unchanged else ""
-    updated = drift.expected.predict_error(new.model.values - new.start.values)
+    """Say that the samples forbid an update, or that the updated model is expected to be worse than
+    the last calibration; empty if neither is so."""
+    if drift.forbids_update or drift.expected is None:
+        return drift.warnings[0] if drift.forbids_update else ""
+    change = new.model.values - new.start.values  # that of a device that the fit placed is last
+    updated = drift.expected.predict_error(change[: len(drift.expected.mean)])
     if updated < drift.expected.kept:
         return ""
     return (

@@ -50,6 +50,7 @@ SCALES = np.array([1 / 3, 1.0, 3.0, 10.0, 30.0])  # usual drifts; a collision is
 ZERO, TEMPERATURE, PART, DEVICE = "zero", "temperature", "part", "measuring device"
 TARGET = "target of the device"  # of the kind DEVICE
 HOMING, EVERYTHING = "zeros and temperature", "all parts"
+ODDS_OF_BOTH = 0.03  # that robot and device changed, against the device alone
 
 
 class Part(NamedTuple):
@@ -64,12 +65,35 @@ class Part(NamedTuple):
 @dataclass(frozen=True)
 class Change:
     """What may have changed: its name, the `kind` of change, and the usual size F (n, k), in units
-    of the columns: these change by F z, z ~ N(0, 1). `parts` are the k numbers that z scales."""
+    of the columns: these change by F z, z ~ N(0, 1). `parts` are the k numbers that z scales.
+    `device` names what of the measuring device moved; with it, the robot may have changed, too: the
+    kind is then that of the robot's change. The `title` is the name in words."""
 
     name: str
     kind: str
     factor: np.ndarray
     parts: tuple[Part, ...] = ()
+    device: str = ""
+    title: str = ""
+
+    @property
+    def is_of_robot(self) -> bool:
+        return self.kind != DEVICE
+
+    @property
+    def is_of_both(self) -> bool:
+        return self.is_of_robot and bool(self.device)
+
+    def with_device(self, other: Change) -> Change:
+        """This change of the robot and that of a device at once."""
+        return Change(
+            f"{other.name} and {self.name}",
+            self.kind,
+            np.hstack([self.factor, other.factor]),
+            (*self.parts, *other.parts),
+            other.device,
+            f"{other.title} and {self.title}",
+        )
 
 
 class Moved(NamedTuple):
@@ -155,7 +179,9 @@ def list_changes(model: Model, device: Mapping[str, tuple[Part, ...]]) -> list[C
 
     def change(name: str, kind: str, rows: np.ndarray, parts: Sequence[Part]) -> Change:
         columns = np.atleast_2d(rows)[:, free].T / tolerance[:, None]
-        return Change(name, kind, np.pad(columns, ((0, displaced), (0, 0))), tuple(parts))
+        title = parts[0].title if kind == PART else name
+        factor = np.pad(columns, ((0, displaced), (0, 0)))
+        return Change(name, kind, factor, tuple(parts), title=title)
 
     culprits, parts = list_culprits(model), list_drift_parts(model)
     usual = [Part(one.name, one.size, one.unit) for one in culprits]
@@ -174,13 +200,14 @@ def list_changes(model: Model, device: Mapping[str, tuple[Part, ...]]) -> list[C
     found.append(change(HOMING, HOMING, np.array([one.change for one in culprits]), usual))
     every = np.array([*(one.change for one in culprits), *single])
     found.append(change(EVERYTHING, EVERYTHING, every, [*usual, *settling]))
-    begin = len(tolerance)
+    found = [one for one in found if np.abs(one.factor).max() > 0]
+    begin, moved = len(tolerance), list[Change]()
     for name, members in device.items():
         end = len(tolerance) + displaced - begin - len(members)
         F = np.pad(np.diag([abs(one.size) for one in members]), ((begin, end), (0, 0)))
-        found.append(Change(name, DEVICE, F, members))
+        moved.append(Change(name, DEVICE, F, members, name, name))
         begin += len(members)
-    return [one for one in found if np.abs(one.factor).max() > 0]
+    return [*found, *moved, *(one.with_device(other) for other in moved for one in found)]
 
 
 def read_calibration(model: Model) -> tuple[int, float]:
@@ -238,7 +265,8 @@ class DriftTest:
             typical[np.ix_(robot, robot)] = np.linalg.inv(C0[np.ix_(robot, robot)]) / samples
         changes, names, singles = tuple(list_changes(model, columns.device)), [], []
         for change in changes:
-            for factor in change.factor.T if change.kind not in (HOMING, EVERYTHING) else ():
+            several = change.is_of_both or change.kind in (HOMING, EVERYTHING)
+            for factor in () if several else change.factor.T:
                 squares = factor @ typical @ factor
                 # What is invisible even as large as a collision cannot be excluded.
                 if columns.rows <= SCALES[-1] ** 2 * squares:
@@ -276,10 +304,13 @@ class DriftTest:
     @property
     def log_prior(self) -> np.ndarray:
         """Log prior odds (H, 1) of each change, by each of the `SCALES`, against none: something
-        has changed as probably as nothing; kinds, and changes of a kind, are equally probable."""
-        kinds = [one.kind for one in self.changes]
-        share = [len(set(kinds)) * kinds.count(kind) * len(SCALES) for kind in kinds]
-        return -np.log(np.array(share, float))[:, None]
+        has changed as probably as nothing; kinds, and changes of a kind, are equally probable. That
+        robot and device have changed is as probable as the device alone times `ODDS_OF_BOTH`."""
+        groups = [(one.is_of_both, one.kind, one.is_of_both and one.device) for one in self.changes]
+        kinds = len({one for one in groups if not one[0]})
+        both = (len(set(groups)) - kinds) / ODDS_OF_BOTH
+        share = [kinds * (both if one[0] else 1) * groups.count(one) for one in groups]
+        return -np.log(np.array(share, float) * len(SCALES))[:, None]
 
 
 @dataclass(frozen=True)

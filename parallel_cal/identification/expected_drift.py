@@ -21,13 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from parallel_cal.identification.drift_test import (
-    DEVICE,
-    SCALES,
-    DriftTest,
-    Look,
-    probabilities,
-)
+from parallel_cal.identification.drift_test import SCALES, DriftTest, Look, probabilities
 from parallel_cal.model.model import Model
 
 DRAWS = 100  # changes that the samples allow
@@ -45,7 +39,8 @@ class ExpectedDrift:
         Of the drift, SI: the mean over the changes of the robot.
     growth : float
         The rms error that the uncertainty of an updated model would cause at samples like those of
-        the calibration, in units of that of the last calibration. The device is taken to stand.
+        the calibration, in units of that of the last calibration. That only the device moved is
+        left aside.
     mean : array (n_parameters,)
         The change of the parameters, SI; the device may have moved.
     metric : array (n_parameters, n_parameters)
@@ -79,20 +74,20 @@ def expect_drift(
     and pull b (n,)."""
     free = ~np.asarray(model.fixed)
     n = int(free.sum())
-    own = np.array([one.kind != DEVICE for one in test.changes])
+    own = np.array([one.is_of_robot for one in test.changes])
     share = np.where(own[:, None], look.changed, 0.0)
     robot = max(float(share.sum()), 1e-300)
-    # If the device had moved, a fit of the robot would not tell; so it is taken to stand.
+    # If only the device had moved, a fit of the robot would not tell; so it is taken to stand.
     weights = (share / (robot + look.unchanged)) @ SCALES**2
-    factors = [one.factor[:n] for one in test.changes]
-    scaled = sum(w * F @ F.T for F, w in zip(factors, weights, strict=True))
-    C0, typical = test.C0[:n, :n], test.typical[:n, :n]
-    unit = float(np.vdot(typical, C0))
-    today = _narrow(C0 + scaled, A[:n, :n])
+    pairs = zip(test.changes, weights, strict=True)
+    scaled = np.asarray(sum(w * one.factor @ one.factor.T for one, w in pairs))
+    typical = test.typical[:n, :n]
+    unit = float(np.vdot(typical, test.C0[:n, :n]))
+    today = _narrow(test.C0 + scaled, A)[:n, :n]
     mean, squares = _average(test, look, A, b)
     tolerance = model.table.tolerance[free]
     drift, metric = np.zeros((2, len(model.table), len(model.table)))
-    drift[np.ix_(free, free)] = scaled * np.outer(tolerance, tolerance)
+    drift[np.ix_(free, free)] = scaled[:n, :n] * np.outer(tolerance, tolerance)
     metric[np.ix_(free, free)] = typical / np.outer(tolerance, tolerance) / unit
     change = np.zeros(len(model.table))
     change[free] = tolerance * mean[:n]
@@ -131,7 +126,7 @@ def _count_telling(
     """Count the further samples like these after which it is decided whether the robot drifted or
     the device moved, in half of the changes that the samples allow."""
     rng, n = np.random.default_rng(0), len(b)
-    own = np.array([one.kind != DEVICE for one in test.changes])
+    own = np.array([one.is_of_robot for one in test.changes])
     weights = look.changed.ravel() / look.changed.sum()
     drawn = np.empty((n, DRAWS))
     for k, case in enumerate(rng.choice(len(weights), DRAWS, p=weights).tolist()):

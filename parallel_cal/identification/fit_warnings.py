@@ -65,10 +65,9 @@ def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) 
             f"{together}: they keep "
             "the values that the model had"
         )
-    else:
-        words += [
-            f"the data do not determine {direction_in_words(c, table)}" for c in unidentifiable
-        ]
+    elif unidentifiable:
+        named = "; ".join(direction_in_words(c, table) for c in unidentifiable)
+        words.append(f"the data do not determine {named}")
     return words
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -15,11 +14,10 @@ from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.drift_test import (
-    DEVICE,
-    PART,
     SCALES,
     TARGET,
     TARGET_EFFECT,
+    Change,
     Columns,
     DriftTest,
     Look,
@@ -38,6 +36,7 @@ MIN_UNUSUAL_SCALE = 3.0
 MAX_LOOKS = 100  # numbers of samples after which the probabilities are computed
 DRIFTED, DEVICE_MOVED, UNCHANGED = "drifted", "device_moved", "unchanged"
 CHANGED, UNDECIDED = "changed", "undecided"
+DEVICE_SENSOR = "the sensor device_frame"
 
 
 class PossibleChange(NamedTuple):
@@ -68,36 +67,30 @@ class Recheck:
     ----------
     looks : tuple of Look
         The probabilities after growing numbers of samples.
-    names, kinds : tuple of str
-        The possible changes (H): the zero of a joint, the temperature, a single parameter, all
-        zeros with the temperature, all parts, the measuring device, and its target.
+    changes : tuple of Change
+        What may have changed (H): the zero of a joint, the temperature, a single parameter, all
+        zeros with the temperature, all parts; the measuring device, its target; one of these two
+        and one of the others.
     certainty : float
         The probability at which it is decided.
     expected : ExpectedDrift, optional
         What all samples let expect of the parameters, of an update and of further samples.
     possible : tuple of PossibleChange
         The fewest changes that have the certainty together, the likeliest first.
-    titles : Mapping
-        Names of parameters in words.
     """
 
     looks: tuple[Look, ...]
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
+    changes: tuple[Change, ...]
     certainty: float = CERTAINTY
     expected: ExpectedDrift | None = None
     possible: tuple[PossibleChange, ...] = ()
-    titles: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def _is_device(self) -> np.ndarray:
-        return np.array(self.kinds) == DEVICE
 
     def _outcomes(self, look: Look) -> dict[str, float]:
         by_change = look.changed.sum(axis=1)
+        of_robot = np.array([one.is_of_robot for one in self.changes])
         return {
-            DRIFTED: float(by_change[~self._is_device].sum()),
-            DEVICE_MOVED: float(by_change[self._is_device].sum()),
+            DRIFTED: float(by_change[of_robot].sum()),
+            DEVICE_MOVED: float(by_change[~of_robot].sum()),
             UNCHANGED: look.unchanged,
         }
 
@@ -110,8 +103,8 @@ class Recheck:
 
     @cached_property
     def outcomes(self) -> dict[str, float]:
-        """The probabilities that the robot has drifted, that only the measuring device moved, and
-        that nothing has changed."""
+        """The probabilities that the robot has drifted (the device may have moved, too), that only
+        the measuring device moved, and that nothing has changed."""
         return self._outcomes(self.looks[-1])
 
     @cached_property
@@ -140,34 +133,47 @@ class Recheck:
 
     @property
     def has_device_moved(self) -> bool:
-        """Whether it is decided that only the measuring device moved, and not surely its target."""
-        return self.verdict == DEVICE_MOVED and self._moved_device != TARGET
+        """Whether it is decided that the measuring device moved, with a drift of the robot or
+        without, and not surely its target."""
+        return self._has_moved and self._moved_device != TARGET
+
+    @cached_property
+    def _by_device(self) -> dict[str, float]:
+        """The probability that the device moved, and that its target did, alone or with a drift of
+        the robot; the likeliest first."""
+        by_change, found = self.looks[-1].changed.sum(axis=1).tolist(), dict[str, float]()
+        for one, share in zip(self.changes, by_change, strict=True):
+            if one.device:
+                found[one.device] = found.get(one.device, 0.0) + share
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     @property
-    def is_shown(self) -> bool:
-        """Whether it is likelier that the robot has drifted than that nothing has changed."""
-        return self.outcomes[DRIFTED] > self.outcomes[UNCHANGED]
+    def _has_moved(self) -> bool:
+        """Whether it is decided that the device or its target moved."""
+        return sum(self._by_device.values()) >= self.certainty
 
     @cached_property
     def parts(self) -> dict[str, float]:
         """The probability of each change, if something has changed; the likeliest first."""
         share = self.looks[-1].changed.sum(axis=1)
         share = share / max(share.sum(), 1e-300)
-        found = dict(zip(self.names, share.tolist(), strict=True))
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+        found = zip((one.name for one in self.changes), share.tolist(), strict=True)
+        return dict(sorted(found, key=lambda item: -item[1]))
 
     @property
     def scale(self) -> float:
         """The likeliest size of a drift of the robot, in usual drifts."""
-        return float(SCALES[np.argmax(self.looks[-1].changed[~self._is_device].sum(axis=0))])
+        alone = np.array([one.is_of_robot and not one.is_of_both for one in self.changes])
+        return float(SCALES[np.argmax(self.looks[-1].changed[alone].sum(axis=0))])
 
     @property
     def progress(self) -> str:
         """How far the decision is, in a few words."""
         words = f"that something has changed: {1 - self.outcomes[UNCHANGED]:.1%}"
         if self.verdict == UNDECIDED:
-            name = self.looks[-1].rival[0]
-            words += f", least excluded: {self.titles.get(name, name)}"
+            rival = self.looks[-1].rival[0]
+            titles = {one.name: one.title for one in self.changes}
+            words += f", least excluded: {titles.get(rival, rival)}"
         return words
 
     @property
@@ -182,8 +188,26 @@ class Recheck:
         return self.likely[0].shown if self.likely else ()
 
     @property
+    def is_shown(self) -> bool:
+        """Whether it is likelier that the robot has drifted than that nothing has changed."""
+        return self.outcomes[DRIFTED] > self.outcomes[UNCHANGED]
+
+    @property
+    def forbids_update(self) -> bool:
+        """Whether it is decided that the robot is as it was; or that the device moved while a drift
+        is not decided, or that its target did, which a fit does not place."""
+        if self._has_moved:
+            return self.verdict != DRIFTED or not self.has_device_moved
+        return self.is_robot_unchanged
+
+    @property
     def cure(self) -> str:
         """What to do if the model is not updated."""
+        if self.verdict == DRIFTED and self.forbids_update:
+            return (
+                f"put the {self._moved_device} back, or let the samples place it: parallel-cal add "
+                f"MODEL {TARGET_EFFECT} RECORDING -o BETTER.yaml"
+            )
         if self.verdict == DEVICE_MOVED:
             return f"keep MODEL, and put the {self._moved_device} back"
         if self.verdict == UNDECIDED:
@@ -196,12 +220,9 @@ class Recheck:
         if self.verdict == UNCHANGED:
             return ("the samples show no drift since the last calibration",)
         if self.verdict == DEVICE_MOVED:
-            part = {TARGET: f"the effect {TARGET_EFFECT}"}.get(
-                self._moved_device, "the sensor device_frame"
-            )
             return (
-                f"the {self._moved_device} moved since the last calibration, not the robot: put it "
-                f"back, or add {part} to the model, so that a fit places it",
+                f"the {self._moved_device} moved since the last calibration, not the robot: "
+                f"{self._cure_of_device}",
             )
         if self.verdict == UNDECIDED:
             return (
@@ -209,9 +230,16 @@ class Recheck:
                 f"calibration ({self.progress}): measure more of the planned poses, and fit them "
                 "together with these",
             )
-        name = next(name for name in self.parts if name not in self._of_device)
-        share, name = self.parts[name], self.titles.get(name, name)
-        likeliest = f"likeliest: {name}, {format_percent(share)}"
+        titles = {one.name: one.title for one in self.changes if one.is_of_robot}
+        name, share = next(one for one in self.parts.items() if one[0] in titles)
+        likeliest = f"likeliest: {titles[name]}, {format_percent(share)}"
+        if self._has_moved:
+            may = "drifted, too" if self.verdict == DRIFTED else "may have drifted, too"
+            drifted = f"the robot {may} ({format_percent(self.outcomes[DRIFTED])}; {likeliest})"
+            return (
+                f"since the last calibration the {self._moved_device} moved, and {drifted}: "
+                f"{self._cure_of_device}",
+            )
         size = f"about {self.scale:.2g} times as far as usual ({likeliest})"
         words = f"since the last calibration the robot drifted {size}"
         if self.verdict == CHANGED:
@@ -230,17 +258,16 @@ class Recheck:
         return (words,)
 
     @property
-    def _of_device(self) -> list[str]:
-        """The names of the changes of the measuring device, the likeliest first."""
-        own = {name for name, kind in zip(self.names, self.kinds, strict=True) if kind == DEVICE}
-        return [name for name in self.parts if name in own]
-
-    @property
     def _moved_device(self) -> str:
         """What of the measuring device moved."""
-        likeliest = self._of_device[0]
-        known = self.parts[likeliest] >= self.certainty
+        likeliest, share = next(iter(self._by_device.items()))
+        known = share >= self.certainty * sum(self._by_device.values())
         return likeliest if known else "measuring device or its target"
+
+    @property
+    def _cure_of_device(self) -> str:
+        part = f"the effect {TARGET_EFFECT}" if self._moved_device == TARGET else DEVICE_SENSOR
+        return f"put it back, or add {part} to the model, so that a fit places it"
 
     def _describe_further_samples(self) -> str:
         """Say whether more samples would tell a drift of the robot from a moved device."""
@@ -337,23 +364,20 @@ def weigh_changes(
         looks.append(Look(end, float(unchanged), changed, rival))
     information, pull = A / test.variance, b / test.variance
     expected = expect_drift(model, test, looks[-1], information, pull, certainty)
-    kinds = tuple(one.kind for one in test.changes)
-    names = tuple(one.name for one in test.changes)
-    titles = {one.name: one.parts[0].title for one in test.changes if one.kind == PART}
     share = looks[-1].changed.sum(axis=1)
     order = np.argsort(-share, kind="stable").tolist()
     count = int(np.searchsorted(np.cumsum(share[order]), certainty * share.sum())) + 1
     likeliest = SCALES[looks[-1].changed.argmax(axis=1)]
     possible = tuple(
         PossibleChange(
-            names[k],
-            titles.get(names[k], names[k]),
+            test.changes[k].name,
+            test.changes[k].title,
             float(share[k] / max(share.sum(), 1e-300)),
             test.estimate(k, likeliest[k], A, b),
         )
         for k in order[:count]
     )
-    return Recheck(tuple(looks), names, kinds, certainty, expected, possible, titles)
+    return Recheck(tuple(looks), test.changes, certainty, expected, possible)
 
 
 def check_certainty(certainty: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -91,13 +91,17 @@ def find_position(
     """Return the columns x, y and z of a position by their usual names, None for one that is not
     `needed` and not there; None if there are none, or if they are joints."""
     words = [name for word in table.header if (name := split_unit(word)[0]) not in joints]
-    # x comes before X
-    names = {name.lower(): name for name in words} | {name: name for name in words}
+    names = index_names(words)
     for group in POSITIONS:
         columns = [names.get(name) for name in group]
         if all(columns[POSITION.index(axis)] for axis in needed):
             return columns
     return None
+
+
+def index_names(names: Collection[str]) -> dict[str, str]:
+    """Index the names of columns by themselves, and in small letters; x comes before X."""
+    return {name.lower(): name for name in names} | {name: name for name in names}
 
 
 def check_units(

@@ -96,8 +96,6 @@ class Table:
     def drop_empty_rows(self) -> Table:
         """Return the table without empty rows; DatasetError for a missing cell."""
         kept = [k for k, row in enumerate(self.rows) if any(map(str.strip, row))]
-        if not kept:
-            raise DatasetError(f"{self.path}: expected a header line and rows, found only 1 line")
         wrong = [k for k in kept if len(self.rows[k]) != len(self.header)]
         if wrong:
             first, *others = (f"{self.lines[k]}" for k in wrong)
@@ -216,7 +214,7 @@ def read_table(path: Path) -> Table:
     The header of an export of OptiTrack's Motive (motive.py), or of Vicon's Tracker or Nexus
     (vicon.py), is merged into one line.
 
-    DatasetError if the file is not such a table.
+    DatasetError if the file is not such a table, or if it has no rows.
     """
     try:
         foreign = describe_foreign(path)
@@ -232,9 +230,15 @@ def read_table(path: Path) -> Table:
         raise DatasetError(f"{path}: {foreign}")
     lines = text.splitlines(keepends=True)
     try:
-        return _parse(path, lines)
+        table = _parse(path, lines)
     except csv.Error as error:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
+    if not any(cell.strip() for row in table.rows for cell in row):
+        raise DatasetError(
+            f"{path}: no rows below the header '{','.join(table.header):.400}'; expected a line of "
+            "numbers for each sample"
+        )
+    return table
 
 
 def _parse(path: Path, lines: list[str]) -> Table:

@@ -114,11 +114,11 @@ class Step(ShownInNotebook):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of the fit, and the objection to the new model if it was forced."""
+        """The objection to the new model if it was forced, and the warnings of the fit."""
         against = self.acceptance.against
         if not against:
             return self.result.warnings
-        return (*(words for words in self.result.warnings if words not in against), against)
+        return (against, *(words for words in self.result.warnings if words not in against))
 
     def with_reason(self, reason: str) -> Step:
         """Return the step with the owner's reason for it in the last entry of its history."""
@@ -149,7 +149,8 @@ def fitted(
 ) -> Step:
     """Identify the free parameters, with the options of `fit`.
 
-    FitError if the validation error does not fall, or as `fit` raises it.
+    FitError if the validation error does not fall, or as `fit` raises it. That an update decides
+    that the robot is as it was is no error: its step has an objection, and is not to be written.
     """
     effects = options.pop("effects", ())
     how, progress = _collect_options(options)
@@ -165,7 +166,8 @@ def fitted(
         judged = replace(judged, against="")
     has_prior = how.prior or how.update or result.given.fits_of_these_samples
     may_help = judged.judged and not (has_prior or result.implausible or result.outliers)
-    found = _check_proven(judged, force, PRIORS if may_help else "")
+    is_as_it_was = result.drift is not None and result.drift.is_robot_unchanged
+    found = _check_proven(judged, force or is_as_it_was, PRIORS if may_help else "")
     return _step("fit", result, found, effect=added or None)
 
 

@@ -14,7 +14,7 @@ from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.campaign.goal import Goal
 from parallel_cal.campaign.journal import FILE, CampaignError, find_unfinished
 from parallel_cal.campaign.updating import conclude, needs_more
-from parallel_cal.identification.drift_test import DEVICE, Look
+from parallel_cal.identification.drift_test import DEVICE, Change, Look
 from parallel_cal.identification.recheck import Recheck
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.recordings.joining import join_datasets
@@ -72,9 +72,10 @@ def test_a_tracker_that_was_moved_changes_no_model(tmp_path):
 
 def test_a_change_of_robot_or_device_writes_no_model(tmp_path):
     samples = np.arange(3)
-    names, kinds = ("zero of joint1", DEVICE), ("zero", DEVICE)
+    zero = Change("zero of joint1", "zero", np.eye(1), title="zero of joint1")
+    moved = Change(DEVICE, DEVICE, np.eye(1), device=DEVICE, title=DEVICE)
     looks = [Look(k + 1, 1e-6, np.full((2, 5), 0.1), ("zero of joint1", 9.0)) for k in samples]
-    found = Recheck(tuple(looks), names, kinds)
+    found = Recheck(tuple(looks), (zero, moved))
     assert (found.verdict, found.decision, needs_more(found)) == ("changed", (3, "changed"), True)
     assert "or the measuring device moved (50 %)" in found.warnings[0]
     assert "More poses like these hardly tell" in found.warnings[0]

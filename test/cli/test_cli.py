@@ -610,7 +610,19 @@ def test_a_controlled_coordinate_without_a_column_is_an_error(run, tmp_path):
     write_model(new_model("five_bar"), tmp_path / "m.yaml")
     (tmp_path / "p.csv").write_text("x,z\n0,0\n")
     result = run("inverse", tmp_path / "m.yaml", "--input", tmp_path / "p.csv")
-    fails(result, "header 'x,z'; expected the columns x,y (and may have z)")
+    fails(result, "header 'x,z' (missing: y); expected the columns x,y (and may have z)")
+
+
+def test_names_of_coordinates_may_be_in_capitals_as_of_a_recording(document, tmp_path):
+    """`X,Y` was refused."""
+    found = []
+    for header in ("x,y,z,qx,qy,qz,qw", "X [mm],Y [mm],Z [mm],QX,QY,QZ,QW"):
+        length = 1e3 if "mm" in header else 1.0
+        row = f"{0.01 * length},{0.02 * length},{0.25 * length},0,0,0,1"
+        (tmp_path / "p.csv").write_text(f"{header}\n{row}\n")
+        found += document("inverse", DELTA24, "--input", tmp_path / "p.csv")["solutions"]
+    plain, capitals = found
+    assert capitals["joints"] == pytest.approx(plain["joints"], abs=1e-12)
 
 
 def test_a_table_may_carry_conditions(document, tmp_path):
@@ -670,6 +682,21 @@ def test_a_table_may_state_its_units_in_the_header(run, document, tmp_path):
     assert out.startswith("leg1 [mm],leg2 [mm],")  # the given cells stay as they are
 
 
+def test_the_columns_that_are_added_to_a_table_are_in_si_units_whatever_it_has(run, tmp_path):
+    """A position_difference beside `z [mm]` is in m, and the help says so."""
+    robot = tmp_path / "plane.yaml"
+    write_model(new_model("five_bar"), robot)
+    x, y, _ = (1e3 * v for v in new_model("five_bar").mechanism.home.position)
+    (tmp_path / "p.csv").write_text(f"x [mm],y [mm],z [mm]\n{x},{y},2\n")
+    run("inverse", robot, "--input", tmp_path / "p.csv", "--output", tmp_path / "q.csv")
+    (row,) = rows(tmp_path / "q.csv")
+    assert float(row["position_difference"]) == pytest.approx(2e-3, abs=1e-9)
+    for command in ("direct", "inverse"):
+        assert "in SI units (m, rad)" in " ".join(
+            run(command, "--help")[1].replace("│", "").split()
+        )
+
+
 def test_without_output_the_table_goes_to_stdout(run, tmp_path):
     (tmp_path / "q.csv").write_text("joint1,joint2,joint3\n.5,.5,.5\n")
     code, out, err = run("direct", DELTA24, "--input", tmp_path / "q.csv")
@@ -681,8 +708,9 @@ def test_without_output_the_table_goes_to_stdout(run, tmp_path):
 def test_a_malformed_table_is_a_clear_error_and_writes_nothing(run, tmp_path):
     for text, word in (
         ("", "empty; expected a header"),
-        ("a,b,c\n1,2,3\n", "header 'a,b,c'; expected the columns joint1,joint2,joint3"),
-        ("joint1,joint2,joint2\n1,2,3\n", "expected the columns"),
+        ("a,b,c\n1,2,3\n", "header 'a,b,c' (missing: joint1,joint2,joint3; unknown: a,b,c); "),
+        ("joint1,joint2,joint3,speed\n1,2,3,4\n", "(unknown: speed); expected the columns joint1"),
+        ("joint1,joint2,joint2\n1,2,3\n", "(missing: joint3; repeated: joint2); expected the"),
     ):
         (tmp_path / "q.csv").write_text(text)
         result = run(
@@ -693,6 +721,31 @@ def test_a_malformed_table_is_a_clear_error_and_writes_nothing(run, tmp_path):
     fails(run("direct", DELTA24, "--input", tmp_path / "q.csv"), "it is not text")
     fails(run("direct", DELTA24, "--input", tmp_path / "no.csv"), "cannot be read")
     assert not (tmp_path / "p.csv").exists()
+
+
+def test_columns_of_a_table_that_change_nothing_are_named(run, tmp_path):
+    """They were ignored without a word; a direction needs the name of its joint."""
+    q, pose = "joint1,joint2,joint3", "x,y,z"
+    for command, header in (("direct", q), ("inverse", pose)):
+        (tmp_path / "t.csv").write_text(f"{header},temperature,direction\n0,0,0.2,25,1\n")
+        code, _, err = run(command, DELTA24, "--input", tmp_path / "t.csv")
+        assert code == 0
+        assert "warning: no effect of the model depends on temperature, direction\n" in err
+
+
+@pytest.mark.parametrize("rows", ["", "\n , ,\n"])
+def test_a_table_without_rows_is_an_error_of_every_command(run, tmp_path, rows):
+    """`direct` and `inverse` answered with an empty table, and exit 0."""
+    file = tmp_path / "t.csv"
+    for command in ("direct", "inverse"):
+        header = "joint1,joint2,joint3" if command == "direct" else "x,y,z"
+        file.write_text(f"{header}\n{rows}")
+        result = run(command, DELTA24, "--input", file, "--output", tmp_path / "p.csv")
+        fails(result, f"t.csv: no rows below the header '{header}'; expected a line of numbers")
+        assert not (tmp_path / "p.csv").exists()
+    file.write_text(f"joint1 [rad],joint2 [rad],joint3 [rad],x [m],y [m],z [m]\n{rows}")
+    for command in ("info", "compare", "fit", "diagnose"):
+        fails(run(command, *([] if command == "info" else [DELTA24]), file), "t.csv: no rows below")
 
 
 def test_an_output_that_cannot_be_written_is_a_clear_error(run, tmp_path):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import law_sessions
 import numpy as np
@@ -257,6 +258,13 @@ def test_axes_that_lean_by_a_milliradian_keep_their_name(seed):
     assert "the samples do not separate errors of the device" in found.verdict.against[0]
     assert found.unseparated == ("device_axes",)
     assert found.next_steps[0].startswith("once you know whether the robot or the device errs")
+    # The command without --force is refused.
+    assert found.next_steps[0].endswith(" device_axes RECORDING -o BETTER.yaml --force")
+    refused = found.doubted.acceptance
+    assert refused.device_may_err
+    other = replace(refused, device_may_err=False)  # refused for another reason: no proposal
+    none = replace(found, doubted=SimpleNamespace(acceptance=other, text="device_axes"))
+    assert not any("parallel-cal add" in step for step in none.next_steps)
 
 
 @pytest.mark.wide

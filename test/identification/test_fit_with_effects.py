@@ -52,6 +52,14 @@ def test_geometry_that_runs_away_alone_is_identified_together_with_the_missing_e
     assert gains == pytest.approx([0.06, 0.055, 0.065], rel=0.1)
 
 
+def test_the_objection_to_a_forced_model_comes_before_all_other_warnings(with_backlash):
+    """A terminal shows three warnings; it was the last one."""
+    step = fitted(new_model("delta54"), with_backlash, hold_out=0, force=True)
+    assert step.acceptance.against
+    assert step.warnings == (step.acceptance.against, *step.result.warnings)
+    assert step.result.warnings
+
+
 @pytest.fixture(scope="module")
 def with_a_wrong_pitch():
     """A hexapod of which one drive goes 6 % too far."""

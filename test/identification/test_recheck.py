@@ -138,7 +138,7 @@ def test_all_changes_that_may_be_the_cause_are_named_with_their_probabilities():
     )
     [line] = [one.text for one in summarize(fit) if one.label == "moved:"]
     for one in few.likely[:3]:
-        assert few.titles.get(one.name, one.name) in line
+        assert one.title in line
         assert f"({format_percent(one.probability)})" in line
 
 
@@ -161,7 +161,7 @@ def test_a_tracker_that_was_moved_is_no_drift_of_the_robot():
     moved = session(12, np.random.default_rng(7), shift=(0.3e-3, -0.2e-3, 0.0))
     found = recheck(calibrated(), moved)
     assert found.verdict == "device_moved"
-    assert found.kinds[found.names.index(next(iter(found.parts)))] == DEVICE
+    assert next(iter(found.parts)) == DEVICE
     assert found.warnings[0].startswith("the measuring device moved")
 
 
@@ -255,6 +255,36 @@ def test_an_update_that_is_expected_to_be_worse_is_not_written(moved, samples, s
     assert is_better or "expected to be worse than the last one" in acceptance(result).against
 
 
+BOTH = {"zeros": (0.0, 5e-3, 0.0), "shift": (5e-4, -3e-4, 2e-4)}
+
+
+def test_a_zero_and_a_tracker_that_both_moved_are_both_named_and_the_update_places_the_tracker():
+    """`all parts` was named, and the update took the tracker to stand."""
+    step = fitted(calibrated(), session(24, np.random.default_rng(8), **BOTH), update=True)
+    drift = step.result.drift
+    assert (drift.verdict, drift.has_device_moved) == ("drifted", True)
+    assert drift.likely[0].name == f"{DEVICE} and zero of joint2"
+    assert drift.likely[0].probability > 0.7
+    found = {one.title: one for one in drift.shown}
+    assert abs(found["zero of joint2"].value + 5e-3) < 3 * found["zero of joint2"].sigma < 2e-3
+    for axis, true in zip("xyz", BOTH["shift"], strict=True):
+        one = found[f"shift along {axis} of the {DEVICE}"]
+        assert abs(one.value - true) < 3 * one.sigma < 0.15e-3
+    assert "the measuring device moved, and the robot drifted, too (> 99 %;" in drift.warnings[0]
+    assert step.model.sensors[0].name == "device_frame"
+    kept, updated = (actual_error(m, BOTH["zeros"]) for m in (calibrated(), step.model))
+    assert updated < 0.2 * kept
+
+
+def test_an_update_that_would_take_a_moved_tracker_to_stand_is_not_written():
+    """That the robot drifted is sure, and that the tracker moved, too, is not."""
+    result = pc.fit(calibrated(), session(24, np.random.default_rng(7), **BOTH), update=True)
+    assert (result.drift.verdict, result.drift.has_device_moved) == ("drifted", False)
+    kept, updated = (actual_error(m, BOTH["zeros"]) for m in (calibrated(), result.model))
+    assert updated > kept
+    assert "expected to be worse than the last one" in acceptance(result).against
+
+
 def test_an_answer_that_is_not_decided_names_both_causes_and_what_tells_them_apart():
     found = recheck(calibrated(), session(4, np.random.default_rng(4), zeros=(6e-4,) * 3))
     robot, device = found.outcomes["drifted"], found.outcomes["device_moved"]
@@ -311,6 +341,18 @@ def test_a_target_that_was_moved_is_no_drift_of_the_robot_for_fit_and_diagnose_a
     assert found.effects == ("target_offset",)
     assert found.next_steps[0] == acceptance(result).cure
     assert found.next_steps[1].startswith("if it stays there, add what was found: parallel-cal add")
+
+
+def test_an_update_waits_for_a_target_that_moved_with_a_zero_and_add_places_it():
+    model, today = calibrated_hexapod(), hexapod_session(16, 2, (5e-4, 3e-4, 0.0), leg=1e-3)
+    result = pc.fit(model, today, update=True)
+    assert result.drift.verdict == "drifted"
+    assert result.drift.likely[0].name == "target of the device and zero of leg1"
+    refused = acceptance(result)
+    assert "add the effect target_offset to the model" in refused.against
+    assert refused.cure.endswith("parallel-cal add MODEL target_offset RECORDING -o BETTER.yaml")
+    placed = pc.add(model, "target_offset", today, update=True).model
+    assert placed.value("target_offset.o_x") == pytest.approx(5e-4, abs=5e-5)
 
 
 def displaced_session(backlash=0.0):

@@ -2,11 +2,15 @@
 
 import numpy as np
 
-from parallel_cal.identification.drift_test import DEVICE, Look
+from parallel_cal.identification.drift_test import DEVICE, Change, Look
 from parallel_cal.identification.recheck import Recheck
 from parallel_cal.reporting.rechecks import VERDICTS, describe_recheck, tabulate_parts
 
-NAMES, KINDS = ("zero of joint1", "leg2.L0", DEVICE), ("zero", "part", DEVICE)
+CHANGES = (
+    Change("zero of joint1", "zero", np.eye(1), title="zero of joint1"),
+    Change("leg2.L0", "part", np.eye(1), title="offset of leg 2"),
+    Change(DEVICE, DEVICE, np.eye(1), device=DEVICE, title=DEVICE),
+)
 
 
 def found(*shares, rival=5.0):
@@ -15,7 +19,7 @@ def found(*shares, rival=5.0):
     for k, one in enumerate(shares):
         changed = [[p / 5] * 5 for p in one]
         looks.append(Look(k + 1, 1 - sum(one), np.array(changed), ("", rival)))
-    return Recheck(tuple(looks), NAMES, KINDS)
+    return Recheck(tuple(looks), CHANGES)
 
 
 def test_a_drift_is_described_by_when_it_was_decided_and_by_its_parts():

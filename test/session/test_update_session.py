@@ -17,7 +17,7 @@ from parallel_cal.identification.recheck import recheck
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.session.saving import compare_with_model_in_use
 from parallel_cal.session.session import Session
-from parallel_cal.session.steps import UnprovenStepError
+from parallel_cal.session.steps import UnprovenStepError, fitted
 from parallel_cal.workbench.views import view
 
 SAMPLES = 16  # hardly more rows than the geometry has parameters: the prior counts
@@ -151,3 +151,13 @@ def test_an_update_fails_only_if_it_is_not_known_what_to_use(
     assert found["drift"]["verdict"] == verdict
     assert (found["output"] is None) == (verdict != "drifted")
     assert found["acceptance"]["accepted"] == (verdict == "drifted")
+
+
+def test_a_step_is_refused_in_one_place_and_none_of_a_robot_that_is_as_it_was():
+    """The command forced each update, and refused it then by a rule of its own."""
+    still = session(24, np.random.default_rng(6), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    step = fitted(calibrated(), still, update=True)
+    assert step.result.drift.verdict == "unchanged"
+    assert step.acceptance.against == step.result.drift.warnings[0]
+    with pytest.raises(UnprovenStepError, match="do not decide whether the robot has drifted"):
+        fitted(calibrated(), still.select(np.arange(8)), update=True)
