@@ -21,6 +21,8 @@ from parallel_cal.exporting.export import export
 from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Status
 from parallel_cal.kinematics.newton import short_step
+from parallel_cal.kinematics.singularity import distances
+from parallel_cal.kinematics.solvers.continuous import follow_joints
 from parallel_cal.kinematics.split_turns import turn_towards
 
 # ------------------------------------------------------------------ cranks that turn around
@@ -312,6 +314,22 @@ def test_a_path_ends_where_a_parallelogram_is_flat():
     assert 100 < regular.sum() < 180
     found = pc.Kinematics(model).direct(q)
     np.testing.assert_array_equal(found.ok, regular)
+
+
+# ------------------------------------------------------------------ closed forms
+
+
+def test_readings_of_an_argos_lead_where_small_steps_lead():
+    """Far from home another orientation was nearer to it."""
+    model = pc.new_model("argos9")
+    solver = pc.Kinematics(model)
+    for q in np.random.default_rng(3).uniform(-2.6, 2.6, (6, 3)):
+        path = np.linspace(np.zeros(3), q, 100)
+        steps, found = follow_joints(solver, path).solutions, solver.direct(path)
+        here = distances(model, steps)
+        regular = np.minimum.accumulate(np.minimum(here.direct, here.inverse)) > 0.05
+        compared = found.rotation[: len(steps)][regular]
+        np.testing.assert_allclose(compared, steps.rotation[regular], atol=1e-7)
 
 
 def test_a_short_step_of_a_slide_is_one_of_its_robot():
