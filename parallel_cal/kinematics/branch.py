@@ -10,9 +10,12 @@ import numpy as np
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.newton import short_step
 from parallel_cal.kinematics.problem import Problem
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 MIN_STEP_FRACTION = 2.0**-12  # of a path; below it the branch has ended
+FIRST_SHARE = 1e-3  # of a path, that shows its first direction
+MAX_BEND = 0.5  # change of the rate of motion from one step to the next, of this rate
 PATH_GROWTH = 1.5  # of a step that stayed on the branch
 MAX_PATH_STEPS = 100  # as many as a descent may take; most paths need fewer than 30
 SAME_SOLUTION = 1e-5  # m, rad: two ends of a path that differ by less are one solution
@@ -25,27 +28,59 @@ def follow_from_home(
     follow its solutions, of all samples at once.
 
     On the whole path they stay on home's side of the singularities, also of those of `judge`.
-    `rows` are the conditions. Returns whether each path was followed to its end, and the last
-    configurations on it.
+    Each step begins where the one before points, and ends near there: where two sets of solutions
+    cross, the path ends, and does not turn into the other set. `rows` are the conditions. Returns
+    whether each path was followed to its end, and the last configurations on it.
     """
     model = problem.model
     line = _Line(problem, to)
     here, alive = problem.settle(np.tile(problem.home, (len(to), 1)), rows)
     t, step = np.zeros(len(to)), np.ones(len(to))
+    rate = _first_rates(problem, line, here, rows)
     for _ in range(MAX_PATH_STEPS):
         some = np.flatnonzero(alive & (t < 1) & (step >= MIN_STEP_FRACTION))
         if not len(some):
             break
         target = np.minimum(t[some] + step[some], 1.0)
-        begin = problem.begin_from(line.at(target, some), here[some])
-        there, kept = problem.settle(begin, rows[some])
+        share = (target - t[some])[:, None]
+        ahead = _configuration(model, here[some]).apply_change(share * rate[some]).rows
+        there, kept = problem.settle(problem.begin_from(line.at(target, some), ahead), rows[some])
         kept &= is_short_step(model, here[some], there)
         if judge is not None:
             for k in np.flatnonzero(kept):
                 kept[k] = judge.is_on_home_side(there[k], rows[some[k]])
+        on = np.flatnonzero(kept)
+        moved = _change(model, here[some[on]], there[on]) / share[on]
+        before = rate[some[on]]
+        kept[on] = _is_straight(model, before, moved)
+        # The rate at the end of the step, where it grows evenly; less of it, for errors to fade.
+        rate[some[on]] = np.where(kept[on, None], moved + (moved - before) / 2, before)
         here[some[kept]], t[some[kept]] = there[kept], target[kept]
         step[some] *= np.where(kept, PATH_GROWTH, 0.5)
     return alive & (t == 1.0), here
+
+
+def _first_rates(problem: Problem, line: _Line, home: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return by how much configurations change along paths (N, nq + 6 + nu), where these begin."""
+    share = np.full(len(home), FIRST_SHARE)
+    begin = problem.begin_from(line.at(share, np.arange(len(home))), home)
+    there, _ = problem.settle(begin, rows)
+    return _change(problem.model, home, there) / FIRST_SHARE
+
+
+def _is_straight(model: Model, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Whether paths go on in about one direction; rates (N, nq + 6 + nu) by share of the path."""
+    scale = model.structure.scale
+    off, size = (np.linalg.norm(rate * scale, axis=1) for rate in (after - before, after))
+    return np.asarray(off < MAX_BEND * size)
+
+
+def _configuration(model: Model, rows: np.ndarray) -> Configuration:
+    return Configuration.from_rows(rows, len(model.mechanism.passive))
+
+
+def _change(model: Model, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    return _configuration(model, there).change_from(_configuration(model, here))
 
 
 class _Line:

@@ -193,7 +193,10 @@ def short_step(m: Mechanism) -> np.ndarray:
     """Return how far the entries (nq + 12 + nu,) of a configuration may change, at most, in a step
     that stays on its branch, unless a determinant changes its sign. A jump to another branch is
     finite, however short the step; these bounds are well below it."""
-    joints, passive = np.full(len(m.joints), 0.5), np.full(len(m.passive), 0.5)
+    joints, passive = (
+        [0.5 * (m.length if unit == "m" else 1.0) for unit in units]
+        for units in (m.joint_units, m.passive_units)
+    )
     return np.concatenate([joints, np.full(3, m.length), np.full(9, 0.25), passive])
 
 

@@ -42,10 +42,6 @@ class Argos(Mechanism):
         """Find the nominal model's four orientations, with the centre at home (section 6.7.2)."""
         return orientations(q, p)
 
-    def start(self, q: Any, p: Named) -> tuple[Any, Any]:
-        """Return the orientation nearest to home: the others are half a turn away from it."""
-        return self.nearest_home_pose(self.candidates(q, p))
-
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Find both angles of every motor, with the centre at home.
 
@@ -87,15 +83,12 @@ def orientations(q: Any, p: Named) -> list[tuple[Any, Any]]:
 def _platform_angles(a1: Any, a2: Any, a3: Any) -> Any:
     """Rot(y, theta2) Rot(x, theta3) from eqs 6.44-6.49.
 
-    theta3 solves two equivalent equations. If a1 vanishes, both factors of the first equation
-    vanish, so the equation with the larger factors is used.
+    Both equations for theta3 have a factor that depends on a1 alone, sin a1 or cos a1, and are
+    equal without it. Then theta3 has no jump where a factor changes its sign.
     """
     s, c = ca.sin, ca.cos
     C1 = -(c(a1) * s(a2) * c(a3) + s(a1) * c(a2) * s(a3))
     C2 = c(a2) * c(a3) - c(a1) * s(a1) * s(a2) * s(a3)
-    t2 = ca.atan2(C1, -C2)
-    m = (s(a1) * s(a2), c(t2) * c(a1) * s(a2) - s(t2) * c(a2))
-    k = (s(t2) * c(a3) - c(t2) * s(a1) * s(a3), -c(a1) * s(a3))
-    larger = m[0] ** 2 + m[1] ** 2 > k[0] ** 2 + k[1] ** 2
-    t3 = ca.if_else(larger, ca.atan2(m[0], -m[1]), ca.atan2(k[0], -k[1]))
-    return rot_y(t2) @ rot_x(t3)
+    m = ca.sqrt((s(a1) * s(a3)) ** 2 + c(a3) ** 2)
+    k = ca.sqrt((c(a1) * s(a2)) ** 2 + c(a2) ** 2)
+    return rot_y(ca.atan2(C1, -C2)) @ rot_x(ca.atan2(m * s(a2), -k * s(a3)))

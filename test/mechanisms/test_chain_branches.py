@@ -20,6 +20,9 @@ from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.exporting.export import export
 from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Status
+from parallel_cal.kinematics.newton import short_step
+from parallel_cal.kinematics.singularity import distances
+from parallel_cal.kinematics.solvers.continuous import follow_joints
 from parallel_cal.kinematics.split_turns import turn_towards
 
 # ------------------------------------------------------------------ cranks that turn around
@@ -285,7 +288,7 @@ def test_each_loop_in_series_stays_on_its_own_side():
     found, problem = solver.direct(q), solver.direct_problem
     blocks, here = problem.calls.blocks, np.array(model.mechanism.home.configuration)
     assert len(blocks) > 3
-    assert found.ok.sum() > 150
+    assert found.ok.sum() > 140
     a, columns = model.condition_rows(None, 1)[0], model.mechanism.dependent_columns
     for x in found.configuration.rows[found.ok]:
         for block in blocks:
@@ -296,6 +299,52 @@ def test_each_loop_in_series_stays_on_its_own_side():
                 for at in (here, x)
             )
             assert np.linalg.det(first) * np.linalg.det(last) > 0
+
+
+def test_a_path_ends_where_a_parallelogram_is_flat():
+    """There, an antiparallelogram crosses it, with the sign of home behind. 47 of 53 readings that
+    lie behind were called converged."""
+    model = make_chain(shelf.palletizer())
+    home = np.array(model.mechanism.home.joints)
+    q = home + 1.5 * np.random.default_rng(0).uniform(-1, 1, (200, 4))
+    upper, fore = q[:, 1], q[:, 2]
+    # Upper arm and crank, upper arm and the level, forearm and the vertical are not in line.
+    regular = (fore < upper) & (upper < fore + np.pi) & (upper > 0) & (upper < np.pi)
+    regular &= np.abs(fore) < np.pi / 2
+    assert 100 < regular.sum() < 180
+    found = pc.Kinematics(model).direct(q)
+    np.testing.assert_array_equal(found.ok, regular)
+
+
+# ------------------------------------------------------------------ closed forms
+
+
+def test_readings_of_an_argos_lead_where_small_steps_lead():
+    """Far from home another orientation was nearer to it."""
+    model = pc.new_model("argos9")
+    solver = pc.Kinematics(model)
+    for q in np.random.default_rng(3).uniform(-2.6, 2.6, (6, 3)):
+        path = np.linspace(np.zeros(3), q, 100)
+        steps, found = follow_joints(solver, path).solutions, solver.direct(path)
+        here = distances(model, steps)
+        regular = np.minimum.accumulate(np.minimum(here.direct, here.inverse)) > 0.05
+        compared = found.rotation[: len(steps)][regular]
+        np.testing.assert_allclose(compared, steps.rotation[regular], atol=1e-7)
+
+
+def test_a_short_step_of_a_slide_is_one_of_its_robot():
+    """It was 0.5 m, of a robot of 60 mm and of 6 m."""
+    small, large = (hexaglide_of(size) for size in (1.0, 20.0))
+    np.testing.assert_allclose(
+        short_step(large.mechanism)[:6], 20 * short_step(small.mechanism)[:6]
+    )
+
+
+def hexaglide_of(size):
+    ends = {"base": (0.3, [-20, 20, 100, 140, 220, 260])}
+    ends |= {"platform": (0.08, [-50, 50, 70, 170, 190, 290])}
+    rings = {key: {"radius": size * radius, "angles": at} for key, (radius, at) in ends.items()}
+    return pc.new_model(pc.mechanisms.load("hexaglide", rod=0.4 * size, rails=[0, 0, 1], **rings))
 
 
 # ------------------------------------------------------------------ exported C

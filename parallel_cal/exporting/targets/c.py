@@ -20,13 +20,15 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.exporting.targets._vectors import vectors
 from parallel_cal.kinematics.branch import (
+    FIRST_SHARE,
+    MAX_BEND,
     MAX_PATH_STEPS,
     MIN_STEP_FRACTION,
     PATH_GROWTH,
     SAME_SOLUTION,
 )
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.kinematics.newton import NewtonFunctions, newton_functions
+from parallel_cal.kinematics.newton import NewtonFunctions, newton_functions, short_step
 from parallel_cal.kinematics.problem import (
     MAX_DESCENT_STEPS,
     MAX_SLOW_SHARE,
@@ -64,6 +66,8 @@ SEARCH = {  # words of the templates: limits of the solver and of its search
     "same_solution": SAME_SOLUTION,
     "path_steps": MAX_PATH_STEPS,
     "path_growth": PATH_GROWTH,
+    "first_share": FIRST_SHARE,
+    "max_bend": MAX_BEND,
     "least_step": MIN_STEP_FRACTION,
 }
 HELPERS = {
@@ -178,7 +182,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "n_passive": len(m.passive),
         "passive_turn": _list([*(2 * np.pi * (unit == "rad") for unit in m.passive_units), 0.0]),
         "motors": int(bool(newton[1].motor_blocks)),
-        "length": m.length,
+        "short_step": _list(short_step(m)),
         "amplitude": PATH_AMPLITUDE * m.length,
         "generated": _generate_functions(model, newton),
         "given": _lines(_generate_copy(m.controlled)),

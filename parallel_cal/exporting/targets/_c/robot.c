@@ -36,6 +36,8 @@
 #define SLOW_SHARE @slow_share@
 #define PATH_STEPS @path_steps@
 #define SAME_SOLUTION @same_solution@ /* m, rad */
+#define FIRST_SHARE @first_share@ /* of a path, that shows its first direction */
+#define MAX_BEND @max_bend@ /* change of the rate of motion from one step to the next, of this rate */
 #define LEAST_STEP @least_step@ /* of a path; below it the branch has ended */
 
 #define ALL_STEPS @all_steps@ /* descents from a start and home, then from three starts, all twice; four paths */
@@ -67,7 +69,7 @@ static const int BLOCK_ROW[2][MOST] = {{@block_rows_direct@}, {@block_rows_inver
 static const int BLOCK_COLUMN[2][MOST] = {{@block_columns_direct@}, {@block_columns_inverse@}};
 static const int BRANCHES[2] = {@branches_direct@, @branches_inverse@}; /* home selects one of several */
 static const int AT_HOME[2] = {@at_home_direct@, @at_home_inverse@}; /* iterations begin there, or at its expansion */
-static const double LENGTH = @length@;         /* m */
+static const double SHORT_STEP[NX] = {@short_step@}; /* a jump to another branch is longer */
 static const double PASSIVE_TURN[NU + 1] = {@passive_turn@};
 static const int TABLE[2] = {@constants_direct@, @constants_inverse@};
 
@@ -334,10 +336,8 @@ static int on_same_sides(int problem, const double *x, const double *y, const do
 /* Whether two configurations are too near for a jump to another branch. */
 static int short_step(const double *here, const double *there)
 {
-    for (int i = 0; i < NX; ++i) {
-        double unit = i < NQ || i >= NQ + 12 ? 2 : i < NQ + 3 ? 4 * LENGTH : 1;
-        if (!(fabs(there[i] - here[i]) < 0.25 * unit)) return 0;
-    }
+    for (int i = 0; i < NX; ++i)
+        if (!(fabs(there[i] - here[i]) < SHORT_STEP[i])) return 0;
     return 1;
 }
 
@@ -420,24 +420,57 @@ static int settled_on_home_side(int problem, const double *a, double *x)
         && short_step(begin, x) && motors_on_home_side(problem, x, a);
 }
 
+/* x after a share of a change. */
+static void changed_by(const double *x, double share, const double *change, double *to)
+{
+    double part[NC];
+    for (int k = 0; k < NC; ++k) part[k] = share * change[k];
+    changed(x, part, to);
+}
+
+static void rate_between(const double *x, const double *to, double share, double *rate)
+{
+    change_between(x, to, rate);
+    for (int k = 0; k < NC; ++k) rate[k] /= share;
+}
+
+/* Whether a path goes on in about one direction. */
+static int is_straight(const double *before, const double *after)
+{
+    double off = 0, size = 0;
+    for (int k = 0; k < NC; ++k) {
+        off += square(SCALE[k] * (after[k] - before[k]));
+        size += square(SCALE[k] * after[k]);
+    }
+    return off < square(MAX_BEND) * size;
+}
+
 /* What a problem is given moves in a straight line from home to x, and its solution follows on home's
- * side of the singularities, also of those of `judge`: x is replaced by the last solution. Whether the
- * branch does not end before. */
+ * side of the singularities, also of those of `judge`: x is replaced by the last solution. Each step
+ * begins where the one before points, and ends near there: where two sets of solutions cross, the path
+ * ends, and does not turn into the other set. Whether it does not end before x. */
 static int followed(int problem, int judge, const double *a, int *steps, double *x)
 {
-    double change[NC], there[NX], part[NC], t = 0, step = 1;
+    double change[NC], rate[NC], last[NC], there[NX], ahead[NX], t = 0, step = 1;
     change_between(PATH_HOME[problem], x, change);
     memcpy(x, PATH_HOME[problem], NX * sizeof *x);
     if (!settled_on_home_side(problem, a, x)) return 0;
+    changed_by(PATH_HOME[problem], FIRST_SHARE, change, there);
+    unknowns_of(problem, x, there);
+    settled_on_home_side(problem, a, there);
+    rate_between(x, there, FIRST_SHARE, rate);
     for (int i = 0; i < PATH_STEPS && t < 1 && step >= LEAST_STEP; ++i) {
         double target = fmin(t + step, 1);
         if (--*steps < 0) return 0;
-        for (int k = 0; k < NC; ++k) part[k] = target * change[k];
-        changed(PATH_HOME[problem], part, there);
-        unknowns_of(problem, x, there);
-        if (settled_on_home_side(problem, a, there) && short_step(x, there)
-            && (judge == problem || on_home_side(judge, there, a))) {
+        changed_by(x, target - t, rate, ahead);
+        changed_by(PATH_HOME[problem], target, change, there);
+        unknowns_of(problem, ahead, there);
+        int kept = settled_on_home_side(problem, a, there) && short_step(x, there)
+            && (judge == problem || on_home_side(judge, there, a));
+        if (kept) rate_between(x, there, target - t, last);
+        if (kept && is_straight(rate, last)) {
             memcpy(x, there, sizeof there);
+            for (int k = 0; k < NC; ++k) rate[k] = last[k] + (last[k] - rate[k]) / 2;
             t = target, step *= @path_growth@;
         } else {
             step /= 2;
