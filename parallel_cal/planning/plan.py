@@ -27,7 +27,7 @@ from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.options import PlanKeywords, PlanOptions
 from parallel_cal.planning.pose_table import format_pose_table
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
-from parallel_cal.planning.selection import anneal, exchange
+from parallel_cal.planning.selection import SelectionProblem, anneal, exchange
 from parallel_cal.planning.update import UpdatePlan
 from parallel_cal.planning.visibility import (
     find_seen_poses,
@@ -257,26 +257,8 @@ def plan(
         if progress:
             progress("selecting poses", fraction)
 
-    contacts = list_contacts(model)
-    if contacts and options.symmetric:
-        raise FitError("symmetric sets of poses do not keep a contact: plan without --symmetric")
-    if isinstance(options.pool, Solutions):
-        pool = given_pool(model, options.pool, rng)
-    else:
-        pool = make_pool(model, options.pool, rng, options.symmetric, in_contact=bool(contacts))
-    pool = _keep_seen_groups(model, pool)
-    size = pool.groups.shape[1]
-    if n % size:
-        raise FitError(
-            f"{n} poses are not a multiple of {size}, the size of a symmetric set: "
-            f"plan {n // size * size or size} or {n // size * size + size}"
-        )
-    if n > pool.groups.size:
-        raise FitError(
-            f"{n} poses requested, but only {pool.groups.size} candidates are reachable, inside "
-            "the limits and away from singularities: take a larger pool"
-        )
-    groups = n // size
+    pool = _make_candidates(model, n, options, rng)
+    groups = n // pool.groups.shape[1]
     unseen = make_pool(
         model, N_VALIDATION_POSES, np.random.default_rng([options.seed, 1]), symmetric=False
     )
@@ -287,11 +269,7 @@ def plan(
         chosen = exchange(problem, groups, report)
     else:
         chosen = anneal(problem, groups, rng, report)
-    # Compare with the random set that has the median criterion.
-    sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
-    costs = [problem.cost(problem.information(s)) for s in sets]
-    middle = sets[int(np.argsort(costs)[RANDOM_SETS // 2])]
-    random = view.expectation(view.rows(middle))
+    random = view.expectation(view.rows(_draw_middling_set(problem, groups, rng)))
     rows = view.rows(chosen)
     expected = view.expectation(rows)
     if not (view.is_without_device or last):
@@ -318,6 +296,39 @@ def plan(
             *filter(None, [describe_untested_conditions(model, pool.a[rows])]),
         ),
     )
+
+
+def _make_candidates(model: Model, n: int, options: PlanOptions, rng: np.random.Generator) -> Pool:
+    """Make the candidates that the device sees; FitError if n poses cannot be chosen of them."""
+    contacts = list_contacts(model)
+    if contacts and options.symmetric:
+        raise FitError("symmetric sets of poses do not keep a contact: plan without --symmetric")
+    if isinstance(options.pool, Solutions):
+        pool = given_pool(model, options.pool, rng)
+    else:
+        pool = make_pool(model, options.pool, rng, options.symmetric, in_contact=bool(contacts))
+    pool = _keep_seen_groups(model, pool)
+    size = pool.groups.shape[1]
+    if n % size:
+        raise FitError(
+            f"{n} poses are not a multiple of {size}, the size of a symmetric set: "
+            f"plan {n // size * size or size} or {n // size * size + size}"
+        )
+    if n > pool.groups.size:
+        raise FitError(
+            f"{n} poses requested, but only {pool.groups.size} candidates are reachable, inside "
+            "the limits and away from singularities: take a larger pool"
+        )
+    return pool
+
+
+def _draw_middling_set(
+    problem: SelectionProblem, groups: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw sets of so many groups of poses at random, and return that with the median criterion."""
+    sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
+    costs = [problem.cost(problem.information(s)) for s in sets]
+    return sets[int(np.argsort(costs)[RANDOM_SETS // 2])]
 
 
 @single_threaded()
