@@ -52,7 +52,7 @@ class UnknownNoise:
         return UNSTATED if self.times_jitter is None else SCATTER
 
     def scale(self, factor: float) -> UnknownNoise:
-        """The same kind with a noise that is larger by a factor."""
+        """This kind of noise, with a standard deviation that is larger by a factor."""
         jitter = self.times_jitter
         return replace(self, times_jitter=None if jitter is None else factor * jitter)
 
@@ -137,8 +137,8 @@ class Observations:
 
     @property
     def at_rest(self) -> Observations | None:
-        """The same with the scatter within dwells as the noise that is not stated; None if some of
-        this was not measured within dwells, or all is stated."""
+        """These samples with the scatter within dwells as the noise that is not stated; None if it
+        was not measured for all of that noise, or all is stated."""
         jitter = [kind.times_jitter for kind in self.unknown]
         if not jitter or None in jitter:
             return None
