@@ -31,6 +31,7 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.simulate import simulate, stated_noise
+from parallel_cal.workbench.kept_pictures import EARLIER
 
 MODEL, BAG = REPOSITORY / "config" / "delta_mockup_nominal.yaml", "bags/delta_backlash"
 SAMPLES_OF_BAG, MAX_SAMPLES_PER_RECORDING = 94, 10_000
@@ -55,9 +56,6 @@ NUMBERS = """new MutationObserver((changes, observer) => {
   observer.disconnect();
   requestAnimationFrame(() => setTimeout(() => { window.painted = Date.now() }));
 }).observe(document, { subtree: true, childList: true, characterData: true })"""
-# Notes when the picture of the machine is drawn anew, in ms.
-DRAWN = """() => document.querySelector(".machine .js-plotly-plot")
-  .on("plotly_afterplot", () => { window.drawn = Date.now() })"""
 SETTLED = "() => acted && changed > acted && performance.now() - changed > 1500"
 
 
@@ -202,15 +200,14 @@ def time_page(browser: Any, session: Path, recordings: list[Path]) -> Iterator[R
 def _time_step(page: Any, meter: Meter, button: str, name: str, verdict: str) -> Iterator[Row]:
     """Time a step: numbers of a part of many samples, a picture, then the verdict, of a part and of
     all."""
-    page.evaluate(DRAWN)
     meter.reset()
-    clicked = time.time()
     page.get_by_role("button", name=button, exact=True).click()
     _wait_for(page, f"preliminary {name}|{name}:")
     yield meter.row(f"{name} to the first numbers")
-    page.wait_for_function("began => window.drawn > began", arg=1e3 * clicked)
-    drawn = page.evaluate("() => window.drawn / 1000")
-    yield meter.row(f"{name} to its first picture", drawn - clicked)
+    _rest(page)
+    page.get_by_text(EARLIER).wait_for(state="hidden")
+    _rest(page)
+    yield meter.row(f"{name} to its first pictures")
     _wait_for(page, verdict)
     yield meter.row(f"{name} to the verdict")
     page.locator("#stage").wait_for(state="hidden")
