@@ -58,7 +58,13 @@ from parallel_cal.identification.noise_floor import (
     noise_floor,
 )
 from parallel_cal.identification.observability import directions_in_words
-from parallel_cal.identification.observations import Observations, blocks, list_noise, observe
+from parallel_cal.identification.observations import (
+    Observations,
+    blocks,
+    list_noise,
+    noise_in_use,
+    observe,
+)
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.outliers import (
     Outliers,
@@ -90,7 +96,7 @@ from parallel_cal.identification.registration import (
 from parallel_cal.identification.set_up import place_set_up
 from parallel_cal.identification.thresholds import ENOUGH_SAMPLES
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
-from parallel_cal.identification.update import update_prior
+from parallel_cal.identification.update import ESTIMATED_NOISE, recall_noise, update_prior
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset
@@ -434,6 +440,8 @@ class FitResult(ShownInNotebook):
     def history_entry(self) -> dict[str, Any]:
         """What the history of a model keeps of its fit; SI, None for unknown values."""
         held_before, held_after = self.held_out_before.summary, self.held_out.summary
+        noise = vars(noise_in_use(self.model, self.observations, estimated=True))
+        estimated = {part: sigma for part, sigma in noise.items() if sigma}
         return {
             "method": self.options.method,
             "samples": self.samples,
@@ -447,6 +455,7 @@ class FitResult(ShownInNotebook):
             "after": self.after.summary.document(),
             "held_out": {"before": held_before.document(), "after": held_after.document()},
             "chi2_per_dof": finite_or_none(self.estimate.chi2_per_dof),
+            **({ESTIMATED_NOISE: estimated} if estimated else {}),
         }
 
     def document(self) -> dict[str, Any]:
@@ -596,6 +605,8 @@ class Prepared:
         cls, model: Model, dataset: Dataset, options: FitOptions, effects: Sequence[str] = ()
     ) -> Prepared:
         """Place device and set-up, and weigh the drift of an update; raises FitError."""
+        if options.update:
+            model = recall_noise(model)
         model = place_set_up(model, dataset, options)
         given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
         start = add_effects(given.start, effects, given.dataset)
@@ -757,7 +768,7 @@ def _check(
     )
     if scaled is not None and implausible:
         raise ImplausibleGeometryError(f"{scaled}. {implausible}")
-    fitted = replace(fitted, noise=fitted.noise.with_joints(options.joint_sigma))
+    fitted = replace(fitted, noise=fitted.noise.as_stated.with_joints(options.joint_sigma))
     return fitted, unusual, implausible, insisted
 
 

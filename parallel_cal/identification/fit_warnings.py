@@ -11,6 +11,7 @@ from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICA
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.observations import (
     ESTIMATED,
+    LAST,
     NoiseFigure,
     Observations,
     list_noise,
@@ -146,9 +147,12 @@ def list_noise_warnings(
     if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:
         size = "larger" if estimate.chi2_per_dof > high else "smaller"
         shown = format_distinctly([estimate.chi2_per_dof, low, high])
+        noise = "stated noise"
+        if LAST in observations.noise_from.values():
+            noise = "noise that the last calibration estimated"
         return [
             f"chi2/dof {shown[0]} is outside {shown[1]}..{shown[2]}: the residuals are {size} than "
-            "the stated noise"
+            f"the {noise}"
         ]
     return []
 

@@ -22,6 +22,7 @@ from parallel_cal.recordings.samples import READING, list_channel_groups
 ASSUMED = "assumed"  # source of a noise that was not measured
 UNSTATED = "not stated"  # source of a noise that nothing is known about
 ESTIMATED = "estimated from the residuals"  # source of such a noise after a fit
+LAST = "last calibration"  # source of a noise that it estimated
 SCATTER = "scatter within dwells"  # which is less than a robot shows that returns to a pose
 UNMEASURED = (ASSUMED, UNSTATED, SCATTER, ESTIMATED)
 UNIT_NAMES = {"rad": "angular joints", "m": "linear joints"}
@@ -258,15 +259,15 @@ def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
     return found
 
 
-def noise_in_use(model: Model, observations: Observations) -> Noise:
+def noise_in_use(model: Model, observations: Observations, estimated: bool = False) -> Noise:
     """Return the noise of joints and device with which observations are weighted; None for what is
-    neither stated nor estimated."""
+    neither stated nor estimated. With `estimated`, only what was estimated."""
     n = len(model.joints)
-    guessed = {kind.name for kind in observations.unknown if not kind.estimated}
+    known = {kind.name: kind.estimated for kind in observations.unknown}
     joints: dict[str, float] = {}
     device: list[float | None] = [None, None]
     for name, unit, own, sigma in _measure_kinds(model, observations):
-        if name in guessed:
+        if not known.get(name, not estimated):
             continue
         if own[:n].any():
             joints[unit] = sigma
@@ -336,7 +337,8 @@ def _joint_sigma(
         sigma = np.where(lacking, guess, stated)
         if model.noise.assumed:
             return sigma, ASSUMED, ~nowhere
-        return sigma, UNSTATED if lacking.any() else "model file", lacking
+        stated_by = "model file" if model.noise.joint == model.noise.as_stated.joint else LAST
+        return sigma, UNSTATED if lacking.any() else stated_by, lacking
     scatter = _pool_scatter(dataset.scatter_q[:, order])
     if (scatter > 0).all():
         return scatter, SCATTER, ~nowhere
@@ -394,7 +396,9 @@ def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str, n
     elif (unstated & wanted).any():
         source = UNSTATED
     elif np.isfinite(given[wanted]).any():
-        source = ASSUMED if noise.assumed else "model file"
+        own = noise.as_stated
+        is_stated = (noise.position, noise.orientation) == (own.position, own.orientation)
+        source = ASSUMED if noise.assumed else "model file" if is_stated else LAST
     else:
         source = SCATTER
     return covariance, source, lacking & guessed

@@ -27,7 +27,7 @@ from parallel_cal.identification.drift_test import (
 from parallel_cal.identification.expected_drift import ExpectedDrift, expect_drift
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prior import Prior
-from parallel_cal.identification.update import SHOWN_SIGMAS, update_prior
+from parallel_cal.identification.update import SHOWN_SIGMAS, recall_noise, update_prior
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -337,6 +337,7 @@ def recheck(
         If the model was never fitted, or nobody stated the noise: its evidence has no size then.
     """
     check_certainty(certainty)
+    model = recall_noise(model)
     observations = observe(model, dataset, joint_sigma, insist)
     if observations.noise_assumed:
         raise FitError(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.identification.drift_rate import PARTS, DriftRate
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.mechanism import poses_in_workspace
-from parallel_cal.model.model import Model
+from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import load_effect
 
 # Usual drift between two calibrations, 1 sigma. Zeros drift as reference switches repeat: the
@@ -22,6 +23,36 @@ LOOSENING_SHARE = 0.1  # of a tolerance, for each parameter: a joint that settle
 SHOWN_SIGMAS = 3.0  # a drift of one sigma that moves the touches by so much is shown
 PROBE_POSES = 40
 RIDGE = 1e-6  # of the largest singular value, columns in tolerances
+
+
+ESTIMATED_NOISE = "estimated_noise"  # of the fit, in the history of a model
+
+
+@dataclass(frozen=True)
+class RecalledNoise(Noise):
+    """Noise that the last calibration estimated, beside what is `stated`."""
+
+    stated: Noise = field(default_factory=Noise)
+
+    @property
+    def as_stated(self) -> Noise:
+        return self.stated
+
+
+def recall_noise(model: Model) -> Model:
+    """The model with the noise that its last calibration estimated, where none is stated: that of
+    few samples is hardly known, and the error of a robot that drifted would be counted as noise."""
+    own = model.noise
+    entry = next((one for one in reversed(model.history) if one.get(ESTIMATED_NOISE)), None)
+    if entry is None or own.assumed:
+        return model
+    known = entry[ESTIMATED_NOISE]
+    joint = own.joint if own.joint is not None else known.get("joint")
+    if isinstance(joint, Mapping):
+        joint = {**known.get("joint", {}), **joint}
+    position = own.position or known.get("position")
+    orientation = own.orientation or known.get("orientation")
+    return replace(model, noise=RecalledNoise(joint, position, orientation, stated=own))
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,11 @@ class Noise:
             return self
         return Noise(sigma) if self.assumed else replace(self, joint=sigma)
 
+    @property
+    def as_stated(self) -> Noise:
+        """What the model file states."""
+        return self
+
 
 @dataclass(frozen=True, eq=False)
 class Model:

@@ -28,6 +28,7 @@ from parallel_cal.identification.platform_shift import (
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.stations import without_stations
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
+from parallel_cal.identification.update import ESTIMATED_NOISE
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
@@ -348,6 +349,7 @@ def _step(
         "knocked": list(knocked),
         "down_weighted": [doubted.sample for doubted in result.down_weighted],
         "registered": result.registration.description if result.registration else None,
+        ESTIMATED_NOISE: judged.get(ESTIMATED_NOISE),  # of which the next update must know
     }
     entry |= {key: value for key, value in unusual.items() if value}
     if found.against:

@@ -21,8 +21,10 @@ from parallel_cal.identification.drift_test import (
     probabilities,
     read_calibration,
 )
+from parallel_cal.identification.observations import LAST, noise_in_use
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.recheck import recheck
+from parallel_cal.identification.update import recall_noise
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
@@ -188,6 +190,34 @@ def test_a_drift_needs_a_calibration_a_noise_and_a_certainty():
         )
     with pytest.raises(FitError, match=r"certainty 0\.3: expected a probability above 0\.5"):
         recheck(calibrated(), today, certainty=0.3)
+
+
+def test_an_update_knows_the_noise_that_the_last_calibration_estimated(tmp_path):
+    """Today's few samples would count the error of a device that moved as noise, and the fit of the
+    robot would follow it."""
+    samples = session(100, np.random.default_rng(1), stated=False)
+    calibration = fitted(new_model("delta24"), samples, False)
+    pc.write_model(calibration.model, tmp_path / "robot.yaml")
+    model = pc.read_model(tmp_path / "robot.yaml")
+    assert model.noise == Noise()
+    used = noise_in_use(model, calibration.result.observations)
+    known = recall_noise(model).noise
+    assert known.joint["rad"] == pytest.approx(used.joint["rad"])
+    assert (known.position, known.orientation) == (pytest.approx(used.position), None)
+    still, moved, jumped = (
+        session(24, np.random.default_rng(12), *change, stated=False)
+        for change in ((), ((0.0, 0.0, 0.0), (0.3e-3, 0.0, 0.0)), ((0.0, 2e-3, 0.0),))
+    )
+    found = [
+        fitted(model, one, True, options=FitOptions(update=True)) for one in (still, moved, jumped)
+    ]
+    verdicts = [one.result.drift.verdict for one in found]
+    assert verdicts[0] == "unchanged"
+    assert verdicts[1] in ("device_moved", "changed")
+    assert verdicts[2] == "drifted"
+    assert [bool(one.acceptance.against) for one in found] == [True, True, False]
+    assert found[2].model.noise == Noise()  # what was estimated is not stated for that
+    assert LAST in found[2].result.observations.noise_from.values()
 
 
 def test_a_session_updates_the_last_calibration_and_counts_its_samples_once(tmp_path):

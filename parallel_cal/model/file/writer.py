@@ -61,7 +61,7 @@ def _setup(model: Model) -> Iterator[str]:
     yield f"frames: {flow(dict(model.frames))}"
     if tuple(m.gravity) != type(m).gravity:
         yield f"gravity: {flow([float(v) for v in m.gravity])}"
-    noise = {key: value for key, value in vars(model.noise).items() if value is not False}
+    noise = {key: value for key, value in vars(model.noise.as_stated).items() if value is not False}
     yield f"noise: {flow(noise)}"
 
 
