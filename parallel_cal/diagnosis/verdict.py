@@ -34,6 +34,7 @@ from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import MAX_HELD_ERROR_RATIO, MIN_DOF
 from parallel_cal.model.shelf import load_effect
+from parallel_cal.model.words import join_words
 
 NO_NOISE = (
     "without a noise figure it is not known whether the explanation is complete: {again} again, or "
@@ -417,6 +418,14 @@ def robot_or_device(name: str) -> str:
 def _nothing_found(found: Findings, errors: str) -> Verdict:
     chi2, high = found.final_estimate.chi2_per_dof, found.noise.band(found.final_estimate.dof)[1]
     noise, refused = _noise(found), tuple(found.refused[:1])
+    if chi2 <= high and found.laws:
+        # The noise may be little known, or be large: a law stands out of it by its shape.
+        return Verdict(
+            "unexplained",
+            "the residuals are no larger than the noise, but have a pattern, as noise has not "
+            f"({join_words(found.laws)}). {NOT_IN_CATALOGUE}",
+            remarks=(errors, *refused, *noise),
+        )
     if chi2 <= high and found.noise.is_exceeded:
         return _doubt_noise(found, errors)
     if chi2 <= high and found.noise.dof is not None and found.remaining:

@@ -210,6 +210,29 @@ def test_a_gear_of_20_teeth_is_not_taken_for_one_of_10(seed):
     assert one.settings["ratio"] == pytest.approx(20.0, abs=3 * sigma)
 
 
+def test_residuals_with_a_law_are_not_at_noise_however_large_the_noise_may_be():
+    """A band of few revisits is wide; the shape of what is left tells more than its size."""
+    samples = vf.samples(vf.session(0), [], vr.THESIS_NOISE, 0)
+    found = diagnose(MODEL, dataset(samples, vr.THESIS_NOISE))
+    assert (found.verdict.word, found.left) == ("at_noise", "no")
+    findings = Findings(
+        base=found.base,
+        best=found.best,
+        chi2_before=found.base.fitted.estimate.chi2_per_dof,
+        noise=found.noise,
+        shape=found.noise_shape,
+        structure=found.structure,
+        held=0.0,
+        swaps={},
+        refused=(),
+        robot_or_device=(),
+    )
+    assert judge(findings).word == "at_noise"
+    lawful = judge(replace(findings, laws={"law of joint1": 0.995}))
+    assert lawful.word == "unexplained"
+    assert "(law of joint1)" in lawful.summary
+
+
 def test_what_no_robot_has_is_no_objection_where_nothing_is_left():
     """Beside an effect that leaves only noise, it does not matter what a lookalike would gain."""
     data = hiding([vf.KINDS["backlash"]], 1.0, 0)[0]
