@@ -235,8 +235,8 @@ def read_table(path: Path) -> Table:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
     if not any(cell.strip() for row in table.rows for cell in row):
         raise DatasetError(
-            f"{path}: no rows below the header '{','.join(table.header):.400}'; expected a line of "
-            "numbers for each sample"
+            f"{path}: no rows below the header '{','.join(table.header):.400}'; expected a header "
+            "line and rows"
         )
     return table
 

@@ -109,7 +109,7 @@ def test_a_named_number_is_at_its_peak_where_others_are_likely_too():
     """It stayed as it was scanned, since all that were scanned are together likelier than one."""
     effect, parts = RIPPLE
     named, weighed, _, _ = weigh_numbers(
-        measure_wave(effect, "ratio=40.0", parts, 0.1e-3, 80, 3), effect
+        measure_wave(effect, "ratio=40.0", parts, 0.13e-3, 80, 3), effect
     )
     assert named["ratio"] == pytest.approx(weighed[0].values["ratio"], rel=1e-4)
 

@@ -118,6 +118,7 @@ def test_what_depends_on_a_condition_is_no_noise_though_revisited_poses_differ_a
         shape=SimpleNamespace(remarks=()),
         best=SimpleNamespace(fitted=None),
         structure=SimpleNamespace(has_structure=False),
+        laws={},
     )
     monkeypatch.setattr(verdict.Region, "of", lambda fitted: None)
     monkeypatch.setattr(verdict, "_uncertainty", lambda found: [])

@@ -60,7 +60,7 @@ def test_a_part_of_many_poses_selects_the_frames_that_all_of_them_are_fitted_to(
 def test_the_noise_floor_of_many_samples_is_simulated_in_parts(monkeypatch, sensors):
     model = new_model("delta24", sensors=[load_sensor(one) for one in sensors])
     data = simulate(model, 12, 3).dataset()
-    samples = observe(model, data, None, False)
+    samples = observe(model, data, 1e-4, False)
     assert not samples.noise_assumed
     whole = noise_floor.simulate_noise_floor(model, samples)
     sizes, errors = [], noise_floor.Errors

@@ -182,6 +182,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "n_passive": len(m.passive),
         "passive_turn": _list([*(2 * np.pi * (unit == "rad") for unit in m.passive_units), 0.0]),
         "motors": int(bool(newton[1].motor_blocks)),
+        "length": m.length,
         "short_step": _list(short_step(m)),
         "amplitude": PATH_AMPLITUDE * m.length,
         "generated": _generate_functions(model, newton),
