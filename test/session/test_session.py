@@ -552,7 +552,7 @@ def test_a_session_file_of_version_1_is_read_and_is_written_as_version_2(session
 
 def test_what_the_data_cannot_tell_is_asked_before_it_is_written(session, tmp_path):
     session.choose(free=["*"])
-    with pytest.raises(SaveRefused, match="do not determine .*half length of the platform bar"):
+    with pytest.raises(SaveRefused, match=r"do not determine .*half length of the platform bar"):
         session.save(tmp_path / "robot.yaml")
     assert not (tmp_path / "robot.yaml").exists()
 
