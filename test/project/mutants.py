@@ -474,8 +474,8 @@ MUTANTS = (
     ),
     Mutant(
         "planning/plan.py",
-        "middle = sets[int(np.argsort(costs)[RANDOM_SETS // 2])]",
-        "middle = sets[int(np.argsort(costs)[-1])]",
+        "return sets[int(np.argsort(costs)[RANDOM_SETS // 2])]",
+        "return sets[int(np.argsort(costs)[-1])]",
         "a plan is compared with the worst random poses",
         "test_planning.py test_planned_measurements.py",
     ),
