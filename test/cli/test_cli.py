@@ -741,7 +741,7 @@ def test_a_table_without_rows_is_an_error_of_every_command(run, tmp_path, rows):
         header = "joint1,joint2,joint3" if command == "direct" else "x,y,z"
         file.write_text(f"{header}\n{rows}")
         result = run(command, DELTA24, "--input", file, "--output", tmp_path / "p.csv")
-        fails(result, f"t.csv: no rows below the header '{header}'; expected a line of numbers")
+        fails(result, f"t.csv: no rows below the header '{header}'; expected a header line")
         assert not (tmp_path / "p.csv").exists()
     file.write_text(f"joint1 [rad],joint2 [rad],joint3 [rad],x [m],y [m],z [m]\n{rows}")
     for command in ("info", "compare", "fit", "diagnose"):

@@ -209,7 +209,7 @@ def test_orientations_alone_are_a_measurement(files):
         ((",22.5,", ",1_000,"), "t.csv:4: column T contains '1_000'"),
         ((",22.5,", ',"22,5",'), "column T contains '22,5', .*decimal comma needs a semicolon"),
         (("number,a_deg", "x,a_deg"), "t.csv:1: column x occurs 2 times"),
-        ((TABLE, "a,b\n"), "t.csv: no rows below the header 'a,b'; expected a line of numbers"),
+        ((TABLE, "a,b\n"), "t.csv: no rows below the header 'a,b'; expected a header line"),
     ],
 )
 def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
