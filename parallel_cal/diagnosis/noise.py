@@ -150,8 +150,8 @@ def _compare_with_jitter(scene: Scene) -> tuple[float | None, bool]:
         return None, False
     resting = Scene.of(scene.model, scene.dataset, at_rest, scene.free, within=scene.within)
     seen = PureError.of(resting, Field.of(resting))
-    exceeded = seen.contradicts_stated_noise and seen.variance is not None and seen.variance > 1
-    return (seen.variance**0.5 if exceeded and seen.variance else None), True
+    ratio = (seen.variance or 0.0) ** 0.5
+    return (ratio if seen.contradicts_stated_noise and ratio > 1 else None), True
 
 
 def advise_on_noise(result: FitResult, revisits: int) -> str:

@@ -217,9 +217,7 @@ def observe(
     if doubts and not insist:
         raise FitError(doubts)
     reading_sigma = np.broadcast_to(model.structure.standard_uncertainty, reading.shape).copy()
-    scattered = np.concatenate(
-        [np.tile(joint_from == SCATTER, n), (_pool_scatter(dataset.scatter_pose) > 0)]
-    )
+    scattered = np.repeat([joint_from == SCATTER, pose_from == SCATTER], [n, 6])
     unknown = _list_unknown_noise(model, guessed, guessed_channels, scattered)
     return Observations(
         x, S, measured, a, group, reading, noise_from, doubts, reading_sigma, unknown

@@ -23,8 +23,6 @@ LOOSENING_SHARE = 0.1  # of a tolerance, for each parameter: a joint that settle
 SHOWN_SIGMAS = 3.0  # a drift of one sigma that moves the touches by so much is shown
 PROBE_POSES = 40
 RIDGE = 1e-6  # of the largest singular value, columns in tolerances
-
-
 ESTIMATED_NOISE = "estimated_noise"  # of the fit, in the history of a model
 
 

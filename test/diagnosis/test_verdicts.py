@@ -210,12 +210,9 @@ def test_a_gear_of_20_teeth_is_not_taken_for_one_of_10(seed):
     assert one.settings["ratio"] == pytest.approx(20.0, abs=3 * sigma)
 
 
-def test_residuals_with_a_law_are_not_at_noise_however_large_the_noise_may_be():
-    """A band of few revisits is wide; the shape of what is left tells more than its size."""
-    samples = vf.samples(vf.session(0), [], vr.THESIS_NOISE, 0)
-    found = diagnose(MODEL, dataset(samples, vr.THESIS_NOISE))
-    assert (found.verdict.word, found.left) == ("at_noise", "no")
-    findings = Findings(
+def findings_of(found):
+    """What the verdict of a diagnosis judges, without doubts, rivals and laws."""
+    return Findings(
         base=found.base,
         best=found.best,
         chi2_before=found.base.fitted.estimate.chi2_per_dof,
@@ -227,6 +224,14 @@ def test_residuals_with_a_law_are_not_at_noise_however_large_the_noise_may_be():
         refused=(),
         robot_or_device=(),
     )
+
+
+def test_residuals_with_a_law_are_not_at_noise_however_large_the_noise_may_be():
+    """A band of few revisits is wide; the shape of what is left tells more than its size."""
+    samples = vf.samples(vf.session(0), [], vr.THESIS_NOISE, 0)
+    found = diagnose(MODEL, dataset(samples, vr.THESIS_NOISE))
+    assert (found.verdict.word, found.left) == ("at_noise", "no")
+    findings = findings_of(found)
     assert judge(findings).word == "at_noise"
     lawful = judge(replace(findings, laws={"law of joint1": 0.995}))
     assert lawful.word == "unexplained"
@@ -239,19 +244,7 @@ def test_what_no_robot_has_is_no_objection_where_nothing_is_left():
     found = diagnose(MODEL, data)
     assert (found.verdict.word, found.left) == ("explained", "no")
     words = "hysteresis would explain the error better, but no robot has so much of it"
-    findings = Findings(
-        base=found.base,
-        best=found.best,
-        chi2_before=found.base.fitted.estimate.chi2_per_dof,
-        noise=found.noise,
-        shape=found.noise_shape,
-        structure=found.structure,
-        held=0.0,
-        swaps={},
-        refused=(),
-        robot_or_device=(),
-        outdone=(words,),
-    )
+    findings = replace(findings_of(found), outdone=(words,))
     assert judge(findings).word == "explained"
     assert "nothing else is left" not in judge(findings).summary
     # A doubt about the size alone does not contradict that all of the error is accounted for.
