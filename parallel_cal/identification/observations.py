@@ -335,12 +335,18 @@ def _joint_sigma(
         sigma = np.where(lacking, guess, stated)
         if model.noise.assumed:
             return sigma, ASSUMED, ~nowhere
-        stated_by = "model file" if model.noise.joint == model.noise.as_stated.joint else LAST
-        return sigma, UNSTATED if lacking.any() else stated_by, lacking
+        source = UNSTATED if lacking.any() else _name_source(model.noise, "joint")
+        return sigma, source, lacking
     scatter = _pool_scatter(dataset.scatter_q[:, order])
     if (scatter > 0).all():
         return scatter, SCATTER, ~nowhere
     return guess, UNSTATED, ~nowhere
+
+
+def _name_source(noise: Noise, *parts: str) -> str:
+    """Who states these parts of the noise of a model: its file, or the last calibration."""
+    own = noise.as_stated
+    return "model file" if all(getattr(noise, p) == getattr(own, p) for p in parts) else LAST
 
 
 def _guess_joint_sigma(model: Model, q: np.ndarray) -> np.ndarray:
@@ -394,9 +400,7 @@ def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str, n
     elif (unstated & wanted).any():
         source = UNSTATED
     elif np.isfinite(given[wanted]).any():
-        own = noise.as_stated
-        is_stated = (noise.position, noise.orientation) == (own.position, own.orientation)
-        source = ASSUMED if noise.assumed else "model file" if is_stated else LAST
+        source = ASSUMED if noise.assumed else _name_source(noise, "position", "orientation")
     else:
         source = SCATTER
     return covariance, source, lacking & guessed
