@@ -52,19 +52,14 @@ from parallel_cal.identification.given_model import Folds, GivenModel
 from parallel_cal.identification.held_out_uncertainty import compute_held_out_sigmas
 from parallel_cal.identification.identified import Identification, Identified
 from parallel_cal.identification.methods.implicit import Estimate
+from parallel_cal.identification.noise_figures import list_noise, noise_in_use
 from parallel_cal.identification.noise_floor import (
     NoiseFloor,
     find_noise_floor,
     noise_floor,
 )
 from parallel_cal.identification.observability import directions_in_words
-from parallel_cal.identification.observations import (
-    Observations,
-    blocks,
-    list_noise,
-    noise_in_use,
-    observe,
-)
+from parallel_cal.identification.observations import Observations, blocks, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.outliers import (
     Outliers,

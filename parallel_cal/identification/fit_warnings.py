@@ -9,13 +9,8 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.identification.estimate import Estimate
-from parallel_cal.identification.observations import (
-    ESTIMATED,
-    LAST,
-    NoiseFigure,
-    Observations,
-    list_noise,
-)
+from parallel_cal.identification.noise_figures import list_noise
+from parallel_cal.identification.observations import ESTIMATED, LAST, Observations
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import (
     MAX_HELD_ERROR_RATIO,
@@ -128,7 +123,7 @@ def list_noise_warnings(
     """
     if observations.noise_assumed:
         found = [one for one in list_noise(model, observations) if one.source == ESTIMATED]
-        named = ", ".join(f"{one.name} {_format_noise(one)}" for one in found)
+        named = "; ".join(one.describe(_write_noise) for one in found)
         if not found:
             return [
                 "the noise is not stated, and too few measurements remain to estimate it: the "
@@ -157,9 +152,9 @@ def list_noise_warnings(
     return []
 
 
-def _format_noise(figure: NoiseFigure) -> str:
-    prefix, factor = ("u", 1e6) if figure.value < 1e-3 else ("m", 1e3)
-    return f"{figure.value * factor:.3g} {prefix}{figure.unit}"
+def _write_noise(value: float, unit: str) -> str:
+    prefix, factor = ("u", 1e6) if value < 1e-3 else ("m", 1e3)
+    return f"{value * factor:.3g} {prefix}{unit}"
 
 
 def format_distinctly(values: Sequence[float]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,17 +32,28 @@ class UnknownNoise:
     """A kind of noise whose size is not stated: S and the readings hold a guess of it.
 
     `coordinates` (N, nq+6) and `channels` (N, n_channels) mark the entries that this guess scales.
-    The guess has one value for each joint, so the proportions within the kind remain. `estimated`
-    is whether an estimate has replaced it. `times_jitter` is how many times as large it is as the
-    scatter within dwells; None where that was not measured.
+    The guess has one value for each joint, so the proportions within the kind remain.
+    `variance_error` is the relative standard error of its variance, if an estimate has replaced the
+    guess. `times_jitter` is how many times as large it is as the scatter within dwells; None where
+    that was not measured.
     """
 
     name: str
     unit: str
     coordinates: np.ndarray
     channels: np.ndarray
-    estimated: bool = False
+    variance_error: float | None = None
     times_jitter: float | None = None
+
+    @property
+    def estimated(self) -> bool:
+        return self.variance_error is not None
+
+    @property
+    def at_most(self) -> float | None:
+        """How many times as large its standard deviation may be as the estimate: two standard
+        errors of the variance above it; None for a guess."""
+        return None if self.variance_error is None else (1 + 2 * self.variance_error) ** 0.5
 
     @property
     def source(self) -> str:
@@ -59,16 +69,6 @@ class UnknownNoise:
 
     def select(self, index: np.ndarray) -> UnknownNoise:
         return replace(self, coordinates=self.coordinates[index], channels=self.channels[index])
-
-
-@dataclass(frozen=True)
-class NoiseFigure:
-    """A standard deviation (1 sigma, SI) with which samples were weighted, and its source."""
-
-    name: str
-    value: float
-    unit: str
-    source: str
 
 
 @dataclass(frozen=True)
@@ -234,59 +234,7 @@ def _find_passive(model: Model, q: np.ndarray, a: np.ndarray) -> np.ndarray:
     return np.where(found.solved[:, None], found.passive, home)
 
 
-def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
-    """List the noise of joints, device and sensors: its rms over the samples."""
-    sources = observations.noise_from
-    unknown = {kind.name: kind.source for kind in observations.unknown}
-    found = []
-    for name, unit, own, rms in _measure_kinds(model, observations):
-        source = sources["joint" if own[: len(model.joints)].any() else "pose"]
-        # Another part of the joints or of the device may be the unknown one.
-        stated = "model file" if source in (UNSTATED, SCATTER, ESTIMATED) else source
-        found.append(NoiseFigure(name, rms, unit, unknown.get(name, stated)))
-    sigma = observations.get_reading_sigma(model)
-    for sensor in model.sensors:
-        own = np.isin(model.structure.channels, sensor.channels)
-        used = np.isfinite(observations.reading) & own
-        if used.any():
-            # Without a stated sigma, the noise of images was measured or is unknown.
-            stated = "model file" if sensor.sigma is not None else sources.get("reading", UNSTATED)
-            source = unknown.get(sensor.name, stated)
-            rms = float(np.sqrt(np.mean(sigma[used] ** 2)))
-            found.append(NoiseFigure(sensor.name, rms, sensor.unit, source))
-    return found
-
-
-def noise_in_use(model: Model, observations: Observations, estimated: bool = False) -> Noise:
-    """Return the noise of joints and device with which observations are weighted; None for what is
-    neither stated nor estimated. With `estimated`, only what was estimated."""
-    n = len(model.joints)
-    known = {kind.name: kind.estimated for kind in observations.unknown}
-    joints: dict[str, float] = {}
-    device: list[float | None] = [None, None]
-    for name, unit, own, sigma in _measure_kinds(model, observations):
-        if not known.get(name, not estimated):
-            continue
-        if own[:n].any():
-            joints[unit] = sigma
-        else:
-            device[int(own[n + 3 : n + 6].any())] = sigma
-    return Noise(joints or None, device[0], device[1])
-
-
-def _measure_kinds(
-    model: Model, observations: Observations
-) -> Iterator[tuple[str, str, np.ndarray, float]]:
-    """Name, unit, columns (nq+6,) and rms over the samples of every kind of noise of joints and
-    device that was measured."""
-    variance = np.diagonal(observations.S, axis1=1, axis2=2)
-    for name, unit, own in _kinds(model):
-        used = observations.measured & own
-        if used.any():
-            yield name, unit, own, float(np.sqrt(variance[used].mean()))
-
-
-def _kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:
+def list_noise_kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:
     """Name, unit and columns (nq+6,) of every kind of noise of joints and device."""
     n = len(model.joints)
     passive = [""] * len(model.mechanism.passive)
@@ -307,7 +255,7 @@ def _list_unknown_noise(
     guess of the columns `scattered` (nq+6,) is their scatter within dwells."""
     none, nowhere = np.zeros_like(guessed_channels), np.zeros_like(guessed)
     found = list[UnknownNoise]()
-    for name, unit, own in _kinds(model):
+    for name, unit, own in list_noise_kinds(model):
         if (own_guess := guessed & own).any():
             jitter = 1.0 if scattered[own_guess.any(axis=0)].all() else None
             found.append(UnknownNoise(name, unit, own_guess, none, times_jitter=jitter))

@@ -92,8 +92,9 @@ def estimate_noise(
             break
         groups = merged
     scaled = observations.scale_unknown_noise(factors)
-    kinds = zip(scaled.unknown, np.isfinite(error).tolist(), strict=True)
-    scaled = replace(scaled, unknown=tuple(replace(one, estimated=known) for one, known in kinds))
+    kinds = zip(scaled.unknown, error.tolist(), strict=True)
+    unknown = (replace(one, variance_error=e if np.isfinite(e) else None) for one, e in kinds)
+    scaled = replace(scaled, unknown=tuple(unknown))
     return EstimatedNoise(
         replace(scaled, noise_from=_name_sources(scaled, len(model.joints))),
         factors,

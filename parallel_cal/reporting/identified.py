@@ -9,7 +9,7 @@ import numpy as np
 
 from parallel_cal.base.units import DEGREE, ERROR_SI_UNITS, MM
 from parallel_cal.diagnosis.verdict_words import describe_verdict
-from parallel_cal.identification.observations import list_noise
+from parallel_cal.identification.noise_figures import list_noise
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import drawings, spaces
 from parallel_cal.reporting.age import describe_age
@@ -185,7 +185,7 @@ def certificate(report: Report) -> str:
         "Data": f"{data.source}; {counts}; sha256 {data.sha256 or 'not known'}",
         "Excluded samples": _describe_excluded(data),
         "Noise, 1 sigma": "; ".join(
-            f"{one.name} {with_unit(one.value, one.unit)} ({one.source})"
+            f"{one.describe(with_unit)} ({one.source})"
             for one in list_noise(fitted.model, fitted.observations)
         ),
         "Region of the samples": report.diagnosis.base.fitted.region.description,

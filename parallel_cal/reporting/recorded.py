@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.units import ARCMIN
-from parallel_cal.identification.observations import Observations, list_noise
+from parallel_cal.identification.noise_figures import list_noise
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.registration import SENSOR, frames_of
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.channels import find_channel, list_channels
@@ -18,10 +19,9 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import COORDINATES
 from parallel_cal.reporting.blocks import Block, Table
 from parallel_cal.reporting.readable import (
-    error_unit,
     format_fixed_vector,
-    number,
     vector,
+    with_unit,
     write_micro,
 )
 
@@ -134,12 +134,9 @@ def describe_measurement(
         at = vector(frames_of(model).f, "m", 1)
         device.append(f"registered at ({at}) mm in the frame of the base")
     device += [sensor.name.replace("_", " ") for sensor in model.sensors if sensor.name != SENSOR]
-    noise = []
-    for one in list_noise(model, observations):
-        unit, factor = error_unit(one.unit)
-        noise.append(f"{one.name} {number(one.value, factor)} {unit} ({one.source})")
+    noise = [f"{one.describe(with_unit)} ({one.source})" for one in list_noise(model, observations)]
     return {
         "samples": samples,
         "device": "; ".join(device) or "no pose was measured",
-        "noise": write_micro(", ".join(noise)),
+        "noise": write_micro("; ".join(noise)),
     }

@@ -20,7 +20,8 @@ from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.patterns import explain_exclusion
 from parallel_cal.identification.fit import Prepared
-from parallel_cal.identification.observations import noise_in_use, observe
+from parallel_cal.identification.noise_figures import noise_in_use
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.file.modelfile import read_model, write_model

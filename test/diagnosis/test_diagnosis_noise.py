@@ -18,7 +18,8 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.observations import ESTIMATED, list_noise
+from parallel_cal.identification.noise_figures import list_noise
+from parallel_cal.identification.observations import ESTIMATED
 from parallel_cal.model.model import new_model
 from parallel_cal.posterior.evidence import Evidence
 from parallel_cal.posterior.scene import Scene

@@ -21,7 +21,8 @@ from parallel_cal.identification.drift_test import (
     probabilities,
     read_calibration,
 )
-from parallel_cal.identification.observations import LAST, noise_in_use
+from parallel_cal.identification.noise_figures import noise_in_use
+from parallel_cal.identification.observations import LAST
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.recheck import recheck
 from parallel_cal.identification.update import recall_noise

@@ -70,10 +70,36 @@ def test_estimated_noise_scatters_about_the_truth_as_predicted(session):
         guessed = observe(model, dataset)
         error = estimate_noise(model, guessed, found.free, found.estimate).variance_error
         z.append((variance - true) / (error * variance))
+        assert (true <= (1 + 4 * error) * variance).all()  # four standard errors
         assert found.estimate.chi2_per_dof == pytest.approx(1, abs=0.02)
     assert np.abs(np.mean(z, axis=0)).max() < 3 / np.sqrt(20)
     assert np.sqrt(np.mean(np.square(z), axis=0)).max() < 1.6
     assert np.sqrt(np.mean(np.square(z), axis=0)).min() > 0.5
+
+
+def test_noise_that_is_badly_known_is_told_with_what_it_is_at_most(session):
+    """In 40 samples of one draw, the joints seem to have a fifth of their noise."""
+    noise = vr.Noise(joint=50e-6, position=6e-6, orientation=50e-6)
+    s = redrawn(session, 8, noise)
+    found = fit(
+        new_model("delta54"),
+        Dataset.from_arrays(JOINTS, s["q"][:40], s["r"][:40], s["R"][:40]),
+        hold_out=0,
+    )
+    joints, position, orientation = found.document()["noise"]
+    assert joints["value"] < noise.joint / 4 < noise.joint < joints["at_most"]
+    assert position["value"] < position["at_most"] < 2 * position["value"]
+    assert orientation["value"] < orientation["at_most"] < 2 * orientation["value"]
+    [told] = [one for one in found.warnings if "estimated" in one]
+    value, at_most = (f"{1e6 * joints[key]:.3g} urad" for key in ("value", "at_most"))
+    assert f"{value}, at most {at_most}; " in told
+    assert told.count("at most") == 1
+
+
+def test_a_noise_that_was_stated_has_no_other_limit(session):
+    stated = replace(new_model("delta54"), noise=Noise(20e-6, 6e-6, 50e-6))
+    noise = fit(stated, delta_dataset(session), hold_out=0).document()["noise"]
+    assert [one["at_most"] for one in noise] == [None] * 3
 
 
 def cylinder_robot(n=120, seed=0, turning=20e-6, sliding=2e-6, position=1e-6, orientation=1e-4):

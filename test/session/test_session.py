@@ -21,7 +21,8 @@ from parallel_cal.base.errors import (
 from parallel_cal.base.progress import ignore_progress
 from parallel_cal.cli.main import main
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.identification.observations import noise_in_use, observe
+from parallel_cal.identification.noise_figures import noise_in_use
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.model import new_model
