@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -14,9 +15,9 @@ LOG_PRIOR = LOG_ODDS - 5.0
 CENTRES = 30
 ONE_JOINT = "law of one joint"
 ALL_LENGTHS = (0.7, 1.2, 2.5)  # of functions of all readings, in their standard deviations
-# Lengths of a law of one joint (in standard deviations of its readings), and their centres. The
+# Lengths of a law of a joint's own reading (in standard deviations of it), and their centres. The
 # finest follows scratches and chirping gears; without it waves of a known effect would describe
-# them best.
+# them best, as they would a dent, a kink or a step of one joint without a law of this joint alone.
 OWN_LENGTHS = ((0.1, 30), (0.3, 12), (0.7, 12), (1.5, 12))
 # Lengths of drift, in standard deviations of the order. Up to so many rows of residuals drift is
 # exact: known at some samples only, it leaves a jump between two of them to the bump of a device.
@@ -81,12 +82,11 @@ def _flat(scene: Scene, J: np.ndarray, functions: np.ndarray) -> np.ndarray:
 
 def _of_each_own(
     scene: Scene, J: np.ndarray, own: np.ndarray, lengths: Sequence[tuple[float, int]]
-) -> Iterator[np.ndarray]:
-    """Yield for each length and number of centres, columns of an error of every joint that is any
-    function of its own value (N, n_joints)."""
+) -> Iterator[list[np.ndarray]]:
+    """Yield for each length and number of centres, columns for each joint of an error of it that is
+    any function of its own value (N, n_joints)."""
     for one in lengths:
-        laws = [_flat(scene, J[:, :, [i]], smooth(own[:, i], *one)) for i in range(own.shape[1])]
-        yield np.hstack(laws)
+        yield [_flat(scene, J[:, :, [i]], smooth(own[:, i], *one)) for i in range(own.shape[1])]
 
 
 def _principal(B: np.ndarray) -> np.ndarray:
@@ -106,17 +106,18 @@ def _joint_laws(scene: Scene) -> Iterator[Block | None]:
         residual = scene.residual.reshape(len(q), -1)
         q = q - np.einsum("nij,nj->ni", np.linalg.pinv(J), residual)
     own = _of_each_own(scene, J, q, OWN_LENGTHS)
-    yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
+    yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, map(np.hstack, own))
     functions = [smooth(q, length, CENTRES) for length in ALL_LENGTHS]
     whole = (_flat(scene, J, one) for one in functions)
     yield Block.of(scene, "law of all joint readings", LAW, LOG_PRIOR, whole)
-    single = (_flat(scene, J[:, :, [i]], one) for i in range(n) for one in functions)
-    yield Block.of(scene, ONE_JOINT, LAW, LOG_PRIOR, single)
+    single = (_flat(scene, J[:, :, [i]], one) for one in functions for i in range(n))
+    alone = chain.from_iterable(_of_each_own(scene, J, q, OWN_LENGTHS))
+    yield Block.of(scene, ONE_JOINT, LAW, LOG_PRIOR, chain(alone, single))
 
 
 def name_law(name: str, setting: int, joints: Sequence[str]) -> str:
     """The name of a law for people, by its setting: `law of joint2` for the law of one joint."""
-    return f"law of {joints[setting // len(ALL_LENGTHS)]}" if name == ONE_JOINT else name
+    return f"law of {joints[setting % len(joints)]}" if name == ONE_JOINT else name
 
 
 def _laws_of_conditions(scene: Scene) -> Iterator[Block | None]:
@@ -147,7 +148,7 @@ def _laws_of_motion(scene: Scene) -> Iterator[Block | None]:
         if not all(one in conditions and np.ptp(conditions[one]) > 0 for one in names):
             continue
         own = np.column_stack([conditions[one] for one in names])
-        columns = _of_each_own(scene, J, own, OWN_LENGTHS[1:])
+        columns = map(np.hstack, _of_each_own(scene, J, own, OWN_LENGTHS[1:]))
         yield Block.of(scene, f"law of {name}", LAW, LOG_PRIOR, columns)
 
 

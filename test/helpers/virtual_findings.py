@@ -105,6 +105,11 @@ def step(reading: Array, size: float) -> Array:
     return size * np.tanh((reading - np.median(reading, axis=0)) / 0.01)
 
 
+def of_first(way: Callable[[Array], Array]) -> Callable[[Array, float], Array]:
+    """An error of the first joint alone, in proportion to a `way` of its readings."""
+    return lambda reading, size: size * way(reading) * np.array([1, 0, 0])
+
+
 OUTSIDE = {
     "cross-talk": lambda s, rng: hidden.CrossTalk(three(s, rng), rng.uniform(5, 9)),
     "products of joints": lambda s, rng: Outside(
@@ -115,6 +120,9 @@ OUTSIDE = {
         0.12 * s, tuple(np.array([0, 0, 0.2]) + rng.uniform(-0.03, 0.03, 3))
     ),
     "chirping gears": lambda s, rng: Outside(lambda q, size: size * np.sin(25 * q**2 + 3), s),
+    "a dented joint": lambda s, rng: Outside(of_first(lambda q: np.exp(-((q / 0.12) ** 2))), s),
+    "a kinked joint": lambda s, rng: Outside(of_first(np.abs), s),
+    "a joint that jumps": lambda s, rng: Outside(of_first(np.sign), 0.5 * s),
 }
 
 

@@ -10,6 +10,7 @@ import virtual_day as vd
 import virtual_findings as vf
 from datasets import as_dataset, measured
 from findings import hiding
+from marks import keep
 from scipy.stats import multivariate_t
 
 from parallel_cal.causes.effects import list_effect_blocks
@@ -238,6 +239,26 @@ def test_a_law_outside_the_catalogue_is_left_and_no_effect_is_certain():
     assert found.left == "yes"
     assert max(found.explanation.laws.values()) > 0.99
     assert all(cause["probability"] < 0.5 for cause in found.missing)
+
+
+@pytest.mark.parametrize(
+    "name", keep(["a dented joint", "a kinked joint", "a joint that jumps"], "a dented joint")
+)
+def test_a_law_of_one_joint_alone_is_no_wave_in_all_joints(name):
+    """A gear or an encoder of some order follows a dent: one was certain, and nothing left."""
+    found = diagnose(MODEL, hiding([vf.Kind((), vf.OUTSIDE[name], 0.5e-3)], 1.5, seed=3)[0])
+    assert found.left == "yes"
+    assert found.explanation.laws["law of joint1"] > 0.99
+    assert all(cause["probability"] < 0.1 for cause in found.missing)
+
+
+def test_a_wave_in_one_joint_alone_is_no_law_of_this_joint():
+    wave = vf.Outside(vf.of_first(lambda q: np.sin(23 * q + 1)), 0.25e-3)
+    found = diagnose(MODEL, hiding([vf.Kind((), lambda s, rng: wave, 1.0)], 1.0, seed=3)[0])
+    [cause] = found.missing
+    assert cause["effects"] == ["gear_transmission_error"]
+    assert cause["probability"] > 0.99
+    assert found.left == "no"
 
 
 @pytest.mark.parametrize("saturates", [False, True])
