@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.addition import Addition
-from parallel_cal.diagnosis.search import Chosen, Search, Trial
+from parallel_cal.diagnosis.explanation import Explanation
+from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
@@ -16,6 +17,9 @@ from parallel_cal.identification.platform_shift import (
 )
 from parallel_cal.model.effect import format_effect
 
+USELESS = (
+    "{} may only imitate an unknown law, and the error at held-out poses does not fall with it"
+)
 # What `add` makes of effects, with the fits without and with them
 FindAddition = Callable[[str, FitResult, FitResult | None], Addition]
 
@@ -32,17 +36,15 @@ class Confirmed:
     against: Mapping[str, str]
 
     @classmethod
-    def of(
-        cls, search: Search, best: Trial, robot_or_device: tuple[str, ...], find: FindAddition
-    ) -> Confirmed:
+    def of(cls, search: Search, found: Explanation, find: FindAddition) -> Confirmed:
         """Judge what a search found as `add` judges it, in one step.
 
         An effect that `add` refuses because the robot or the device may err stays in the diagnosis
-        as doubtful; one that it refuses for another reason does not stay. The validation errors
-        become those that `add` reaches. Without held-out poses `add` accepts nothing, and all
-        stays.
+        as doubtful, unless it only imitates an unknown law and the error does not fall with it; one
+        that it refuses for another reason does not stay. The validation errors become those that
+        `add` reaches. Without held-out poses `add` accepts nothing, and all stays.
         """
-        base = search.fit().fitted
+        base, best, robot_or_device = search.fit().fitted, found.best, found.robot_or_device
         against = dict[str, str]()
         doubtful = [*robot_or_device]
         if best.chosen and explain_unseparated_device(base, best.fitted):
@@ -79,6 +81,10 @@ class Confirmed:
                 against[left[-1].name] = best.reason
                 left = left[:-1]
                 best = search.fit_as_shown(*left)
+        for one in [c for c in best.chosen if c.name in doubtful and c.name in found.imitating]:
+            without = search.fit_as_shown(*(c for c in best.chosen if c is not one))
+            if (ratio_of(without, best) or 0.0) >= 1.0:
+                against[one.name], best = USELESS.format(one.name), without
         doubted: Addition | None = None
         others = any(c.name in doubtful for c in best.chosen)
         if others and base.held_out.judged.any():

@@ -595,7 +595,7 @@ def _diagnose_trusted(
     ranked = _rank(base, names, found.settings, report)
     against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted, **found.absurd}
     report("judging the effects as add does", 0.7)
-    confirmed = Confirmed.of(search, found.best, found.robot_or_device, find)
+    confirmed = Confirmed.of(search, found, find)
     best, robot_or_device = confirmed.best, confirmed.robot_or_device
     against |= confirmed.against
     swaps = {name: rivals for name, rivals in found.swaps.items() if name in best.names}

@@ -198,6 +198,13 @@ class Explanation:
                 found[one.name] = replace(peaks[int(away.argmin())], values=one.settings)
         return found
 
+    @property
+    def imitating(self) -> set[str]:
+        """Names of the effects found that the likeliest set does not contain: they imitate an
+        unknown law that it has."""
+        likely = {one.block.name for one in self.posterior.chosen}
+        return set(self.best.names) - likely - set(self.first)
+
     @cached_property
     def probable(self) -> set[str]:
         """Names of the effects that are worth a fit of their own."""
