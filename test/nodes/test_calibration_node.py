@@ -64,6 +64,8 @@ from parallel_cal.nodes.jobs import WorkSlot
 from parallel_cal.nodes.recorder import Recorder
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.simulate import simulate
+from parallel_cal.recordings.writer import write_bag
 
 REPOSITORY = Path(__file__).parents[2]
 PRESET = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
@@ -118,11 +120,11 @@ class Robot:
     def result(self):
         return json.loads(self.latched["result"][0].data)
 
-    def play(self, bag, rate=20.0):
+    def play(self, bag):
         """Replay a bag and wait until all of it has been looked at."""
         already, expected = received(self.status), sum(counts(bag))
         listeners = self.client.count_subscribers(topic.name for topic in list_topics(bag)[0])
-        player = self.start("replay_node", bag=str(bag), rate=rate, wait_for_subscribers=listeners)
+        player = self.start("replay_node", bag=str(bag), rate=20.0, wait_for_subscribers=listeners)
         self.client.wait(lambda: received(self.status) >= already + expected, "the bag", 120)
         self.client.wait(lambda: player.status is not None, "the end of the replay")
         self.processes.remove(player)
@@ -509,7 +511,7 @@ def test_parameters_can_be_freed_and_fixed(full):
 @pytest.fixture(scope="module")
 def many(collected):
     """A file with so many samples and poses that leaving each out takes a minute or more."""
-    dataset = load_dataset(collected.folder / "s.json").select(np.tile(np.arange(94), 20))
+    dataset = load_dataset(collected.folder / "s.json").select(np.tile(np.arange(94), 8))
     dataset = dataclasses.replace(dataset, pose_id=np.arange(len(dataset)))
     dataset.to_json(collected.folder / "many.json")
     return str(collected.folder / "many.json")
@@ -597,8 +599,9 @@ def test_an_effect_is_added_where_it_helps_and_refused_where_not(full):
     assert "does not fall" in refused.message
     assert not Path(output).exists()
     assert not full.call(AddEffect, "add_effect", effect="wishful_thinking").success
-    full.call(Trigger, "clear_samples")
-    full.play(ECCENTRIC, rate=50.0)
+    samples = full.folder / "eccentric.json"
+    load_dataset(ECCENTRIC).to_json(samples)
+    assert full.call(LoadSamples, "load_samples", path=str(samples)).success
     added = full.call(AddEffect, "add_effect", effect="encoder_eccentricity", output_file=output)
     assert added.success, added.message
     assert added.hash == model_hash(Path(output).read_bytes())
@@ -619,6 +622,14 @@ def test_diagnostics_tell_of_the_samples_and_of_every_stream(full):
     assert {v.key: v.value for v in told["samples"].values}["samples"] == "94"
 
 
+@pytest.fixture(scope="module")
+def short_bag(tmp_path_factory):
+    """A recording of 12 poses, for what does not depend on their number."""
+    bag = tmp_path_factory.mktemp("short") / "bag"
+    write_bag(simulate(read_model(PRESET), 12, 1), bag)
+    return bag
+
+
 def played(tmp_path, bag, by):
     """A node that a bag was played to, then ended by a signal; its journals are in `j`."""
     namespace, processes = use_private_domain() + "_journal", []
@@ -631,7 +642,7 @@ def played(tmp_path, bag, by):
     replay = {"bag": str(bag), "rate": 50.0, "wait_for_subscribers": listeners}
     processes.append(Process("replay_node", tmp_path, namespace, **replay))
     client.wait(lambda: received(status[0]) >= sum(counts(bag)), "the bag", 120)
-    client.wait(lambda: status[0].samples == 94, "the samples", LONG)
+    client.wait(lambda: status[0].samples == 12, "the samples", LONG)
     assert str(tmp_path / "j") in status[0].journal
     client.close()
     node._process.send_signal(by)
@@ -643,11 +654,11 @@ def played(tmp_path, bag, by):
 @pytest.mark.wide
 @pytest.mark.parametrize("by", keep([signal.SIGKILL, signal.SIGTERM], signal.SIGKILL))
 @mock.patch.dict(os.environ)
-def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_path, by):
+def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_path, short_bag, by):
     """After a crash they are there again; after an end in order, the file is named."""
-    namespace = played(tmp_path, CLEAN, by)
+    namespace = played(tmp_path, short_bag, by)
     folder = str(tmp_path / "j")
-    for expected in (94, 0):  # the second time they were saved
+    for expected in (12, 0):  # the second time they were saved
         files = {"journal_folder": folder, "allowed_folders": str(tmp_path)}
         node = Process("calibration_node", tmp_path, namespace, **files)
         client = Client("tester", namespace, [node])
@@ -663,11 +674,11 @@ def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_pat
             assert status[0].samples == expected
         if expected:
             if by == signal.SIGKILL:
-                assert "94 samples of the previous run were read" in status[0].last_event
+                assert "12 samples of the previous run were read" in status[0].last_event
             path = str(tmp_path / "s.json")
             saved = client.call(SaveSamples, "calibration_node/save_samples", path=path)
-            assert saved.samples == 94
-            np.testing.assert_array_equal(load_dataset(path).q, load_dataset(CLEAN).q)
+            assert saved.samples == 12
+            np.testing.assert_array_equal(load_dataset(path).q, load_dataset(short_bag).q)
         client.close()
         assert node.end() == 0
 
@@ -705,16 +716,16 @@ def test_a_node_that_is_stopped_while_it_records_ends_as_well_as_any(tmp_path):
 
 @pytest.mark.wide
 @mock.patch.dict(os.environ)
-def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
+def test_without_auto_collect_samples_are_taken_by_hand(tmp_path, short_bag):
     namespace, processes = use_private_domain() + "_manual", []
     processes.append(Process("calibration_node", tmp_path, namespace, auto_collect=False))
     client = Client("tester", namespace, processes)
     status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     client.wait(lambda: bool(status), "a status")
-    listeners = client.count_subscribers(topic.name for topic in list_topics(CLEAN)[0])
-    replay = {"bag": str(CLEAN), "rate": 50.0, "wait_for_subscribers": listeners}
+    listeners = client.count_subscribers(topic.name for topic in list_topics(short_bag)[0])
+    replay = {"bag": str(short_bag), "rate": 50.0, "wait_for_subscribers": listeners}
     processes.append(Process("replay_node", tmp_path, namespace, **replay))
-    client.wait(lambda: received(status[0]) >= sum(counts(CLEAN)), "the bag", 120)
+    client.wait(lambda: received(status[0]) >= sum(counts(short_bag)), "the bag", 120)
     taken = client.call(Trigger, "calibration_node/take_sample")
     listed = client.call(ListSamples, "calibration_node/list_samples")
     client.close()

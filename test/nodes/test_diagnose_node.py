@@ -39,6 +39,7 @@ REPOSITORY = Path(__file__).parents[2]
 BAGS = REPOSITORY / "bags"
 BACKLASH, PRESET = BAGS / "delta_backlash", REPOSITORY / "config" / "delta_mockup_nominal.yaml"
 CANCELED, SUCCEEDED, ABORTED = 5, 4, 6
+MANY = 8  # times the samples of the recording: a diagnosis then lasts until it is cancelled
 REPLAYED = ("delta_backlash",)  # `test_demo.py` replays it, too
 WITH_CONDITIONS = ("delta_compliance", "delta_thermal")  # payload and temperature as topics
 
@@ -200,7 +201,7 @@ def samples(tmp_path_factory):
     folder = tmp_path_factory.mktemp("samples")
     dataset = load_dataset(BACKLASH)
     dataset.to_json(folder / "s.json")
-    many = dataset.select(np.tile(np.arange(len(dataset)), 20))
+    many = dataset.select(np.tile(np.arange(len(dataset)), MANY))
     dataclasses.replace(many, pose_id=np.arange(len(many))).to_json(folder / "many.json")
     return folder
 
@@ -276,7 +277,7 @@ def test_a_cancelled_diagnosis_ends_and_meanwhile_the_node_answers_but_does_no_o
     assert (
         "a diagnosis is running" in loaded.call(AddEffect, "add_effect", effect="backlash").message
     )
-    assert len(loaded.call(ListSamples, "list_samples").samples) == 20 * 94
+    assert len(loaded.call(ListSamples, "list_samples").samples) == MANY * 94
     loaded.client.await_result(handle.cancel_goal_async(), "the cancel")
     answer = loaded.outcome(handle)
     assert answer.status == CANCELED
@@ -300,7 +301,7 @@ def test_while_an_effect_is_added_the_node_answers_but_takes_no_goal(loaded):
     coming = adding(loaded, "backlash")
     assert not loaded.goal().accepted
     loaded.waits_for_event("goal rejected: an effect is being added")
-    assert len(loaded.call(ListSamples, "list_samples").samples) == 20 * 94
+    assert len(loaded.call(ListSamples, "list_samples").samples) == MANY * 94
     assert loaded.call(GetParameters, "get_parameters", names=["hold_out"]).values
     assert not coming.done()
     answer = loaded.client.await_result(coming, "the effect", 120)
