@@ -32,7 +32,7 @@ NAME = "arm_controller/follow_joint_trajectory"
 JOINTS = ["joint1", "joint2", "joint3"]
 HOME = np.array([0.0, 0.0, 0.2])  # m
 PATH_TOLERANCE, GOAL_TOLERANCE, GOAL_TIME = 0.02, 0.01, 0.5  # rad, rad, s
-STEP, POSE_PERIOD = 0.01, 0.05  # s on the robot's clock
+STEP, POSE_PERIOD = 0.02, 0.05  # s on the robot's clock
 READING, SIGHT, TURN = 1e-6, 5e-6, 20e-6  # noise: rad, m, rad
 Result = FollowJointTrajectory.Result
 
