@@ -12,6 +12,7 @@ import pytest
 import virtual_day as vd
 import virtual_effects_more as more
 from datasets import measured as session
+from marks import keep
 from twins import hexapod, joints_near_home
 
 from parallel_cal.base.errors import ModelError, ModelFileError
@@ -477,8 +478,12 @@ def test_the_direct_problem_under_load_agrees_with_the_virtual_robot(case):
     np.testing.assert_allclose(answer.rotation, R, atol=50 * case.apart)
 
 
+# Those that the test without noise leaves out, and one that turns joints, of a hexapod.
+KEPT = [c for c in CASES if c.apart > 1e-7 or str(c) == "joint_compliance of stewart42"]
+
+
 @pytest.mark.wide
-@each
+@pytest.mark.parametrize("case", keep(CASES, *KEPT), ids=str)
 def test_the_hidden_effect_is_found_within_its_sigma_and_predicts_held_out_poses(case):
     data, model = measured(case), start(case)
     result = fit(model, data)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from datasets import measured
+from marks import keep
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
@@ -16,6 +17,8 @@ from parallel_cal.model.shelf import list_plugins
 from parallel_cal.virtual import robot as vr
 
 METHODS = list_plugins("identification.methods")
+# One that solves closures, one that solves for poses, one of a single step, one that eliminates.
+SOME_THEN_ALL = keep(METHODS, "implicit", "forward", "linear", "cascaded")
 ECCENTRIC = vr.EncoderEccentricity((4e-3, -3e-3, 2e-3), (1e-3, 4e-3, -3e-3))
 EXPANDED = ("semiparametric", "cascaded")  # they know no effect that needs its own functions
 
@@ -35,7 +38,7 @@ def ideal():
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SOME_THEN_ALL)
 def test_every_method_goes_from_recording_to_model_file(method, ideal, tmp_path, capsys):
     write_model(new_model("delta24"), tmp_path / "model.yaml")
     measured(0, robot=ideal).to_json(tmp_path / "samples.json")
@@ -57,7 +60,7 @@ def test_every_method_goes_from_recording_to_model_file(method, ideal, tmp_path,
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SOME_THEN_ALL)
 def test_every_method_finds_an_effect_or_says_that_it_cannot(method, ideal):
     data = measured(7, robot=ideal, effects=[ECCENTRIC])
     model = new_model("delta24").with_effect("encoder_eccentricity")
@@ -72,9 +75,7 @@ def test_every_method_finds_an_effect_or_says_that_it_cannot(method, ideal):
     assert within < 1.5 * document["noise_floor"]["position_rms"]
 
 
-@pytest.mark.parametrize(
-    "method", [m if m == "implicit" else pytest.param(m, marks=pytest.mark.wide) for m in METHODS]
-)
+@pytest.mark.parametrize("method", keep(METHODS, "implicit", "cascaded"))
 def test_every_method_refuses_what_the_data_cannot_carry(method, ideal):
     model, data = new_model("delta24"), measured(0, robot=ideal)
     with pytest.raises(FitError, match=r"5 different poses give 30 equations|give 15 equations"):
@@ -88,7 +89,7 @@ def test_every_method_refuses_what_the_data_cannot_carry(method, ideal):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SOME_THEN_ALL)
 def test_what_the_poses_cannot_tell_is_named_by_every_method(method):
     """On the line through its middle a chain shows arm, rod, distance, height and zero alone."""
     line = np.linspace([0.0, 0.0, 0.16], [0.0, 0.0, 0.26], 40)

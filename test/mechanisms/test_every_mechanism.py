@@ -22,12 +22,9 @@ from parallel_cal.recordings.writer import write_bag
 NEEDS_OPTIONS = {"serial", "chain"}  # described in its file: test_serial.py, test_chain.py
 # One angle against another, or two against two, tell little: the tolerances must help.
 NEEDS_PRIOR = {"rssr", "ankle_2rsu"}
-# Rods or none, in space and in a plane, positions or orientations alone, joints in m and in rad, a
-# prior. test_shelf_truth.py and test_mechanisms_against_virtual.py fit and solve the others.
-TYPICAL = (
-    *("argos9", "cable", "delta24", "five_bar", "hanging_sled", "linear_delta"),
-    *("quattro", "rssr", "scara16", "slider_crank", "stewart42", "tripod_struts"),
-)
+# Rods or none, lines, orientations alone, joints in m and in rad, a prior. Fits of the others are
+# in test_methods_coverage.py and test_shelf_truth.py.
+TYPICAL = ("argos9", "cable", "rssr", "scara16", "stewart42", "tripod_struts")
 
 
 @pytest.mark.wide

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from bag_catalogue import RECORDINGS
+from marks import keep
 
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band
@@ -50,7 +51,13 @@ def chi2(result):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("name", [n for n in RECORDINGS if n != "delta_latency"])
+@pytest.mark.parametrize(
+    "name",
+    keep(
+        [n for n in RECORDINGS if n != "delta_latency"],
+        *("argos_gear_ripple", "delta_backlash_thermal", "delta_clean_sqlite", "stewart_backlash"),
+    ),
+)
 def test_every_visit_becomes_a_sample_reached_from_where_the_truth_says(name):
     data, dwells = dataset(name), truth(name)["dwells_arrive_leave_pose_direction"]
     assert data.dropped == ()
