@@ -298,7 +298,7 @@ def test_a_killed_scheduler_costs_no_row_that_was_done(tmp_path):
 @pytest.mark.wide
 def test_ctrl_c_and_kill_keep_the_rows_that_were_done(tmp_path):
     # So many that it cannot be done before it is told to end.
-    fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 3, n_poses=24, n_replicates=4)
+    fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 2, n_poses=24, n_replicates=4)
     words = ["fleet", str(fleet), "-o", str(tmp_path / "out"), "--workers", "1"]
     command = [sys.executable, "-m", "parallel_cal.cli", *words, "--effect", "backlash"]
     recordings = tmp_path / "out" / "recordings"
@@ -314,7 +314,7 @@ def test_ctrl_c_and_kill_keep_the_rows_that_were_done(tmp_path):
         assert len(list(recordings.glob("*.json"))) > before
     done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
     document = json.loads(done.stdout)
-    assert (document["recordings"], document["failed"]) == (6, [])
+    assert (document["recordings"], document["failed"]) == (4, [])
 
 
 @pytest.mark.wide

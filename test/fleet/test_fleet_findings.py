@@ -199,7 +199,7 @@ def test_a_spread_that_the_data_do_not_show_is_zero():
 
 
 def rows_of(folder, members, recordings):
-    jobs = jobs_of(fleets.written(folder, members, recordings))
+    jobs = jobs_of(fleets.written(folder, members, recordings, n_poses=24))
     return [judge_recording(job, ASKED, str(k))[0] for k, job in enumerate(jobs)]
 
 

@@ -129,7 +129,7 @@ def test_compare_and_fit_show_the_same_errors_before_at_two_stations():
 @pytest.mark.wide
 def test_an_effect_is_found_and_added_at_two_stations_and_the_file_keeps_the_robot_only():
     robot = va.arm("ur5", 4, hidden=(va.Play(0, backlash=5e-4),))
-    data = joined(FIRST, SECOND, robot=robot, n=60)
+    data = joined(FIRST, SECOND, robot=robot, n=30)
     found = diagnose(nominal("ur5"), data, effects=["backlash", "encoder_gain", "zero_shift"])
     assert found.effects == ("backlash",)
     first = fitted(nominal("ur5"), data)

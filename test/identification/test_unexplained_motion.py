@@ -249,7 +249,8 @@ def test_command_and_python_name_the_way_on_from_an_implausible_geometry(tmp_pat
     assert pc.fit(model, data, hold_out=0).implausible in words
     assert "parallel-cal diagnose MODEL RECORDING" in words
     assert "pc.diagnose(model, dataset)" in words
-    assert pc.diagnose(model, data).effects == ("encoder_gain",)
+    tested = ("backlash", "encoder_gain")
+    assert pc.diagnose(model, data, effects=tested).effects == ("encoder_gain",)
     file, samples, out = (tmp_path / name for name in ("m.yaml", "s.json", "o.yaml"))
     write_model(model, file)
     data.to_json(samples)
