@@ -2,11 +2,13 @@
 
 import re
 import time
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from datasets import measured
+from marks import keep
 from workbench_page import LONG, Served, beside_a_played_robot, opened, until
 
 from parallel_cal.diagnosis.patterns import compute_mean_profile
@@ -563,13 +565,11 @@ def test_the_curve_of_a_campaign_begins_at_the_initial_model_and_names_what_was_
     )
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("size", "theme"),
-    [
-        *(pytest.param(size, "light", marks=pytest.mark.wide) for size in SIZES),
-        pytest.param("1280", "dark", marks=pytest.mark.wide),
-        *(pytest.param(one, "dark", marks=pytest.mark.slow) for one in SIZES if one != "1280"),
-    ],
+    # The least room, and the colours of both themes.
+    keep([*product(SIZES, ("light", "dark"))], ("800", "light"), ("1280", "dark")),
 )
 def test_the_page_has_no_fault_of_access(page, theme, size):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
