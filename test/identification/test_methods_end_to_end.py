@@ -75,7 +75,12 @@ def test_every_method_finds_an_effect_or_says_that_it_cannot(method, ideal):
     assert within < 1.5 * document["noise_floor"]["position_rms"]
 
 
-@pytest.mark.parametrize("method", keep(METHODS, "implicit", "cascaded"))
+REFUSING = {"implicit": (), "cascaded": pytest.mark.wide}
+
+
+@pytest.mark.parametrize(
+    "method", [pytest.param(m, marks=REFUSING.get(m, pytest.mark.slow)) for m in METHODS]
+)
 def test_every_method_refuses_what_the_data_cannot_carry(method, ideal):
     model, data = new_model("delta24"), measured(0, robot=ideal)
     with pytest.raises(FitError, match=r"5 different poses give 30 equations|give 15 equations"):
