@@ -61,6 +61,11 @@ def list_effect_blocks(
         if effect.alike:
             roots.append(_share_among_parts(stated, new))
             tried *= 2
+        joints = _find_own_columns(stated, new)
+        if len(settings) == 1 and len(joints) > 1:
+            # In one joint alone, as a law may be. A wave of any number would follow a dent there.
+            roots += [own[:, columns] for columns in joints.values()]
+            tried += len(joints)
         usual = [root for root in roots for _ in settings]
         settings = len(roots) * settings
         if effect.alone and not (known.get(name) or scene.model.has_effect(name)):
@@ -85,13 +90,20 @@ def list_own_numbers(
     effect = model.effects[-1]
     if not effect.each or sum(effect.each in one for one in settings) < MIN_SCANNED:
         return None
+    columns = _find_own_columns(model, new)
+    return OwnNumbers(effect.each, columns) if len(columns) > 1 else None
+
+
+def _find_own_columns(model: Model, new: np.ndarray) -> dict[str, np.ndarray]:
+    """Which of the new parameters of a model's last effect each joint has, for those that have
+    any."""
     names = np.array(model.table.names)[new]
+    start = f"{model.effects[-1].name}."
     columns = {
-        joint: np.flatnonzero([name.startswith(f"{effect.name}.{joint}.") for name in names])
+        joint: np.flatnonzero([name.startswith(f"{start}{joint}.") for name in names])
         for joint in model.mechanism.joints
     }
-    columns = {joint: own for joint, own in columns.items() if own.size}
-    return OwnNumbers(effect.each, columns) if len(columns) > 1 else None
+    return {joint: own for joint, own in columns.items() if own.size}
 
 
 def widen(scene: Scene, names: Iterable[str]) -> tuple[Scene, list[Block]]:

@@ -195,3 +195,15 @@ def test_a_model_with_any_setting_of_a_scan_can_be_written_and_read(name):
     for setting in scan_settings(scene, load_effect(name)):
         again = parse_model(dump_model(model.with_effect(name, setting)))
         assert again.effects[0].name == name
+
+
+def test_an_effect_without_a_scanned_number_is_weighed_in_one_joint_alone():
+    """Of a wrong gain of one leg, six gains for all legs paid for five that are not there."""
+    model = replace(
+        new_model("stewart42"), noise=Noise(joint=1e-6, position=2e-6, orientation=1e-5)
+    )
+    data = pc.simulate(model, 40, 1, effects=["encoder_gain:leg3.gain=1e-3"]).dataset()
+    causes = Causes.of(see(pc.fit(model, data, hold_out=0)), ["encoder_gain"])
+    [found] = [one for one in causes.sum.search().chosen if one.block.name == "encoder_gain"]
+    assert found.block.tried == 1 + len(LEGS)
+    assert np.flatnonzero(found.usual.any(axis=1)).tolist() == [2]
