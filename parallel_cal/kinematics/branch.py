@@ -116,9 +116,11 @@ def is_same_solution(model: Model, one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def is_jump(problem: Problem, begin: np.ndarray, end: np.ndarray, row: np.ndarray) -> bool:
-    """Whether iterations jumped over a singularity; a robot may pass one in short steps."""
+    """Whether iterations jumped over a singularity; a robot may pass one in short steps. `begin`,
+    with unknowns of a start, is no solution: its motors have no side."""
     same = problem.find_sides(begin, row) == problem.find_sides(end, row)
-    return not same and not is_short_step(problem.model, begin, end)
+    stays = same and problem.has_motors_on_home_side(end, row)
+    return not stays and not is_short_step(problem.model, begin, end)
 
 
 def is_short_step(model: Model, here: np.ndarray, there: np.ndarray) -> np.ndarray:

@@ -39,16 +39,6 @@ class Samples:
             if _is_singular(self.problem, self.x[i], self.rows[i]):
                 self.status[i] = Status.SINGULAR
 
-    def is_trusted(self, i: np.intp, pivot: float) -> bool:
-        """Whether a solution on which Newton's method settled is known to be on home's branch."""
-        problem, row = self.problem, self.rows[i]
-        if not problem.has_branches:
-            return True
-        if problem.begins_at_home:
-            return pivot > 0.0
-        begin = problem.start(self.given[i])  # a closed form has this branch on either side
-        return problem.find_sides(self.x[i], row) == problem.find_sides(begin, row)
-
     def return_to_home_branch(self, other: Problem, doubted: np.ndarray, quick: bool) -> None:
         """Replace solutions by those that are followed from home while the readings (or the pose)
         move from there to those given, or by those of a search, unless it is to be `quick`.

@@ -339,8 +339,7 @@ class Kinematics:
         samples.mark_singular(suspect)
         if begin is None:
             doubted = suspect & (status != Status.SINGULAR)
-            for i in np.flatnonzero(doubted & settled):
-                doubted[i] = not samples.is_trusted(i, pivot[i])
+            doubted &= ~(settled & ((pivot > 0.0) | (not problem.has_branches)))
             if self._quick:
                 doubted &= settled
             other = self.direct_problem if problem.unknown_joints else self.inverse_problem

@@ -36,8 +36,8 @@ class NewtonFunctions:
     other side of a singularity than home, and where the iterations went too far from where they
     began to stay on its branch. `solve` begins at the mechanism's own start, `refine` at the given
     configuration. `columns`: the unknown columns of (q, r, w, u). `blocks`: those of the closure's
-    Jacobian in the unknowns. `motor_blocks`: those of the direct problem, if `inverse` keeps to
-    their side, too; else none. `iteration`: the parts of `solve` and `refine`.
+    Jacobian in the unknowns. `motor_blocks`: those of the direct problem, to whose side `inverse`
+    keeps, too; none for `direct`. `iteration`: the parts of `solve` and `refine`.
     """
 
     tables: ca.Function
@@ -101,12 +101,12 @@ def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
 
 def _side_of_motors(s: Structure, problem: str) -> tuple[list[Block], Any]:
     """Return the blocks of the direct problem, and an expression that is positive on home's side of
-    its singularities; none and 1 where the problem does not keep to it.
+    its singularities; none and 1 for the direct problem, and where it has no sides.
 
-    The motors do not pass a direct singularity. `inverse` that is followed from home does not,
-    either; a closed form answers for each pose that it is given.
+    The joints of `inverse` must lead back to its pose. The motors do not pass a direct singularity:
+    beyond it, they lead to another pose.
     """
-    if problem == "direct" or not begins_at_home(s.ideal, problem):
+    if problem == "direct":
         return [], ca.SX(1)
     J = s.differentiate_closure(unknown_columns(s, "direct"))
     blocks = find_blocks(s, J, np.array(s.mechanism.home.configuration))
@@ -235,7 +235,7 @@ class Iteration:
         for _ in range(self.iterations):
             x, length, pivot = self.step(x, constants)
         signs = ca.sign(self.motors(x, constants))
-        if self.at_home or not from_start:  # a closed form has the branch of home anywhere
+        if self.at_home or not from_start:  # a closed form is near its solution
             far = ca.mmax(ca.fabs(x - start) - ca.DM(short_step(m))) > 0
             signs = ca.fmin(signs, ca.if_else(far, -1, 1))
         pivot = ca.fmin(pivot, signs * ca.fabs(pivot))

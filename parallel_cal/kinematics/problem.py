@@ -7,6 +7,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, Single
+from parallel_cal.kinematics.elimination import Block
 from parallel_cal.kinematics.newton import change_function, newton_functions
 from parallel_cal.kinematics.rows import limits_in
 from parallel_cal.kinematics.solutions import (
@@ -16,7 +17,7 @@ from parallel_cal.kinematics.solutions import (
     Status,
 )
 from parallel_cal.kinematics.split_turns import splits_turns, turn_towards
-from parallel_cal.kinematics.start import begins_at_home, path_home, start_function
+from parallel_cal.kinematics.start import begins_at_home, path_home
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
@@ -100,12 +101,6 @@ class Problem:
         pose = [i in m.parasitic for i in range(3)] + [False] * 9
         return np.array([*joints, *(pose if self.unknown_joints else [True] * 12), *passive])
 
-    def start(self, given: np.ndarray) -> np.ndarray:
-        """Copy one configuration, with the unknown coordinates where `solve_many` begins."""
-        ideal = self.model.structure.ideal
-        begin = start_function(ideal, self.name)(given, self.model.values[: len(ideal.table)])
-        return np.array(begin).ravel()
-
     @cached_property
     def home(self) -> np.ndarray:
         """The configuration (nq + 12 + nu,) at which paths begin."""
@@ -113,8 +108,7 @@ class Problem:
 
     @cached_property
     def begins_at_home(self) -> bool:
-        """Whether `solve_many` begins at home, or at its expansion; a closed form has the branch of
-        home also beyond a singularity."""
+        """Whether `solve_many` begins at home, or at its expansion, and not at a closed form."""
         return begins_at_home(self.model.structure.ideal, self.name)
 
     @cached_property
@@ -188,23 +182,28 @@ class Problem:
         return float(np.linalg.norm(rows))
 
     def is_on_home_side(self, x: np.ndarray, a: np.ndarray) -> bool:
-        """Whether a configuration is on home's side of the singularities, as `find_sides` says."""
-        return all(self.find_sides(x, a))
+        """Whether a configuration is on home's side of the singularities; for `inverse`, also of
+        those of the direct problem."""
+        return all(self.find_sides(x, a)) and self.has_motors_on_home_side(x, a)
+
+    def has_motors_on_home_side(self, x: np.ndarray, a: np.ndarray) -> bool:
+        """Whether a solution of `inverse` is on home's side of the direct singularities."""
+        columns = self.model.mechanism.dependent_columns
+        return all(self._compare_signs(x, a, columns, self.calls.motor_blocks))
 
     def find_sides(self, x: np.ndarray, a: np.ndarray) -> list[bool]:
-        """Whether the determinant of each block of that Jacobian has the sign that it has at home,
-        and of those of the direct problem, where `inverse` keeps to its side."""
-        unknown = self.columns, self.calls.blocks
-        motors = self.model.mechanism.dependent_columns, self.calls.motor_blocks
-        sides = list[bool]()
-        for columns, blocks in (unknown, motors):
-            if any(block.sign for block in blocks):
-                _, J = self._phi_and_jacobian(x, a, columns)
-                sides += [
-                    bool(block.sign * np.linalg.det(J[np.ix_(block.rows, block.columns)]) > 0.0)
-                    for block in blocks
-                ]
-        return sides
+        """Whether the determinant of each block of that Jacobian has the sign that it has at
+        home."""
+        return self._compare_signs(x, a, self.columns, self.calls.blocks)
+
+    def _compare_signs(
+        self, x: np.ndarray, a: np.ndarray, columns: list[int], blocks: list[Block]
+    ) -> list[bool]:
+        if not any(block.sign for block in blocks):
+            return []
+        _, J = self._phi_and_jacobian(x, a, columns)
+        dets = (np.linalg.det(J[np.ix_(block.rows, block.columns)]) for block in blocks)
+        return [block.sign * float(det) > 0.0 for block, det in zip(blocks, dets, strict=True)]
 
     def descend(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float, Status]:
         """Descend from a configuration by Levenberg-Marquardt (C.4)."""

@@ -16,6 +16,7 @@ from parallel_cal.base.rotation import (
     rot_z,
     rotation_matrix,
 )
+from parallel_cal.kinematics.start import start_function
 from parallel_cal.mechanisms import delta51
 from parallel_cal.mechanisms.serial import Serial
 
@@ -23,6 +24,13 @@ from parallel_cal.mechanisms.serial import Serial
 def make_chain(options: Mapping[str, Any]) -> pc.Model:
     """Make the model of a chain."""
     return pc.new_model(pc.mechanisms.load("chain", **options))
+
+
+def find_start(solver: pc.Kinematics, problem: str, given: np.ndarray) -> np.ndarray:
+    """The configuration (nq + 12 + nu,) from which a problem is solved that is given by another."""
+    ideal = solver.model.structure.ideal
+    geometry = solver.model.values[: len(ideal.table)]
+    return np.array(start_function(ideal, problem)(given, geometry)).ravel()
 
 
 def revolute(name: str, parent: str, child: str, **more: Any) -> dict[str, Any]:

@@ -312,7 +312,7 @@ def test_iterations_from_home_begin_at_its_expansion_of_second_order(name, probl
     for share in (1.0, 0.5):
         pose = m.poses((home + share * step)[None])
         truth = kinematics.inverse(*pose).configuration.rows[0]
-        begin = getattr(kinematics, f"{problem}_problem").start(truth)
+        begin = chains.find_start(kinematics, problem, truth)
         off = chain.configuration(begin).change_from(chain.configuration(truth))
         left.append(np.linalg.norm(off))
     assert 0 < left[0] < 1e-2

@@ -157,7 +157,7 @@ def test_inverse_kinematics_begins_at_second_order_also_where_a_turn_is_not_cont
     step, left = np.array([0.03, -0.07, 0.05, -0.08, 0.06]), []
     for share in (1.0, 0.5):
         truth = solver.direct(home + share * step).configuration.rows
-        begin = solver.inverse_problem.start(truth)
+        begin = chains.find_start(solver, "inverse", truth)
         off = model.configuration(begin).change_from(model.configuration(truth))
         left.append(np.linalg.norm(off))
     assert 0 < left[0] < 1e-2

@@ -121,13 +121,16 @@ def test_ten_thousand_round_trips_return_to_where_they_began(name, compile):
     assert np.abs(turned).max() <= 1e-12
 
 
-@pytest.mark.parametrize("problem", ["direct", "inverse"])
-def test_a_solve_is_as_few_instructions_as_five_microseconds_allow(problem):
-    """1.6 ns an instruction on the virtual machine; trigonometry costs ten times as much."""
+@pytest.mark.parametrize(
+    ("problem", "most", "turns"), [("direct", 3100, 36), ("inverse", 3700, 39)]
+)
+def test_a_solve_is_as_few_instructions_as_six_microseconds_allow(problem, most, turns):
+    """1.6 ns an instruction on the virtual machine; trigonometry costs ten times as much. The
+    inverse problem looks on which side of the direct singularities it is."""
     solve = newton_functions(new_model("delta54").structure, problem).solve
-    assert solve.n_instructions() < 3100
+    assert solve.n_instructions() < most
     code = [solve.instruction_id(i) for i in range(solve.n_instructions())]
-    assert sum(code.count(op) for op in (ca.OP_SIN, ca.OP_COS, ca.OP_ATAN2)) <= 36
+    assert sum(code.count(op) for op in (ca.OP_SIN, ca.OP_COS, ca.OP_ATAN2)) <= turns
 
 
 def test_mock_up_stands_at_30_65_degrees_under_its_centre():

@@ -61,7 +61,7 @@ static const int UNKNOWNS[2] = {@n_direct@, @n_inverse@};
 static const int GIVEN[2][MOST] = {{@given_direct@}, {@given_inverse@}};
 static const int GIVENS[2] = {@g_direct@, @g_inverse@};
 static const int TURNS[2] = {@turns_direct@, @turns_inverse@}; /* the axis of unknown turns, 3 for any, -1 for none */
-static const int MOTORS = @motors@; /* whether the inverse problem keeps to home's side of the direct one */
+static const int MOTORS = @motors@; /* whether the direct problem has sides, to which the inverse one keeps */
 static const int BLOCKS[2] = {@blocks_direct@, @blocks_inverse@}; /* of the slopes, 0 where home selects no side */
 static const int BLOCK_SIZE[2][MOST] = {{@block_sizes_direct@}, {@block_sizes_inverse@}};
 static const int BLOCK_SIGN[2][MOST] = {{@block_signs_direct@}, {@block_signs_inverse@}};
@@ -297,40 +297,37 @@ static void sides_of_blocks(int problem, const double *x, const double *a, int *
     }
 }
 
-/* Of the inverse problem, where it keeps to them, also those of the direct one; how many they are. */
-static int sides_of(int problem, const double *x, const double *a, int sides[2 * MOST])
+static int all_on_home_side(int problem, const double *x, const double *a)
 {
-    int both = problem == INVERSE && MOTORS;
+    int sides[MOST];
     if (BLOCKS[problem]) sides_of_blocks(problem, x, a, sides);
-    if (both) sides_of_blocks(DIRECT, x, a, sides + BLOCKS[problem]);
-    return BLOCKS[problem] + (both ? BLOCKS[DIRECT] : 0);
+    for (int i = 0; i < BLOCKS[problem]; ++i)
+        if (!sides[i]) return 0;
+    return 1;
 }
 
-/* Whether x is on home's side of the direct singularities, where the problem keeps to it. */
+/* Whether x is on home's side of the direct singularities, to which the inverse problem keeps. */
 static int motors_on_home_side(int problem, const double *x, const double *a)
 {
-    int sides[2 * MOST];
-    if (problem == DIRECT || !MOTORS) return 1;
-    for (int i = sides_of(DIRECT, x, a, sides); i > 0; --i)
-        if (!sides[i - 1]) return 0;
-    return 1;
+    return problem == DIRECT || !MOTORS || all_on_home_side(DIRECT, x, a);
 }
 
 static int on_home_side(int problem, const double *x, const double *a)
 {
-    int sides[2 * MOST];
-    for (int i = sides_of(problem, x, a, sides); i > 0; --i)
-        if (!sides[i - 1]) return 0;
-    return 1;
+    return all_on_home_side(problem, x, a) && motors_on_home_side(problem, x, a);
 }
 
-static int on_same_sides(int problem, const double *x, const double *y, const double *a)
+/* Whether iterations from x, whose motors have no side if it is no solution, stayed on its side. */
+static int stayed(int problem, const double *x, const double *end, const double *a)
 {
-    int sides[2 * MOST], others[2 * MOST];
-    sides_of(problem, x, a, sides);
-    for (int i = sides_of(problem, y, a, others); i > 0; --i)
-        if (sides[i - 1] != others[i - 1]) return 0;
-    return 1;
+    int sides[MOST], others[MOST];
+    if (BLOCKS[problem]) {
+        sides_of_blocks(problem, x, a, sides);
+        sides_of_blocks(problem, end, a, others);
+    }
+    for (int i = 0; i < BLOCKS[problem]; ++i)
+        if (sides[i] != others[i]) return 0;
+    return motors_on_home_side(problem, end, a);
 }
 
 /* Whether two configurations are too near for a jump to another branch. */
@@ -606,16 +603,6 @@ static int on_home_branch(int problem, const double *given, const double *a, int
     return searched(problem, 0, 3, ends, a, steps, x, residual);
 }
 
-/* Whether a solution on which Newton's method settled is on home's branch: near where it began at
- * home, or on the side on which a closed form began. */
-static int trusted(int problem, int near, double pivot, const double *begin, const double *x,
-    const double *a)
-{
-    if (!BRANCHES[problem]) return 1;
-    if (AT_HOME[problem]) return near && pivot > 0 && motors_on_home_side(problem, x, a);
-    return on_same_sides(problem, x, begin, a);
-}
-
 /* x (in: the start, where `warm`) for what is given; a status. */
 static int solve_once(int problem, const double *given, const double *a, int warm, int *steps,
     double *x, double *residual)
@@ -638,19 +625,20 @@ static int solve_once(int problem, const double *given, const double *a, int war
         near = near && short_step(starts[0], x);
     }
     *residual = norm_of_closure(problem, x, before);
-    int settled = length < SETTLED && is_closed(problem, *residual), sure = settled && pivot > SUSPECT;
-    if (warm || AT_HOME[problem])
-        sure = sure && near && motors_on_home_side(problem, x, a);
+    int settled = length < SETTLED && is_closed(problem, *residual);
+    int trusted = settled && pivot > 0 && (near || !(warm || AT_HOME[problem]))
+        && motors_on_home_side(problem, x, a);
+    int sure = trusted && pivot > SUSPECT;
     if (settled && !sure && singular_at(problem, x, a)) {
         status = @ROBOT@_SINGULAR;
     } else if (!sure && !warm) {
-        if (!settled || !trusted(problem, near, pivot, begin, x, a))
+        if (!settled || (BRANCHES[problem] && !trusted))
             status = on_home_branch(problem, given, a, steps, x, residual);
     } else if (!settled) {
         memcpy(starts[0], x, sizeof starts[0]);
         memcpy(starts[1], given, sizeof starts[1]);
         status = searched(problem, 1, 2, starts, a, steps, x, residual);
-    } else if (!sure && !on_same_sides(problem, begin, x, a) && !short_step(begin, x)) {
+    } else if (!sure && !stayed(problem, begin, x, a) && !short_step(begin, x)) {
         status = @ROBOT@_OTHER_BRANCH;
     }
     if (status == @ROBOT@_CONVERGED && !settled && singular_at(problem, x, a))
