@@ -47,7 +47,7 @@ def list_effect_blocks(
         settings = scan_settings(scene, effect)
         if not settings:
             continue
-        tried = len(settings)
+        tried = scanned = len(settings)
         settings = [known[name]] if known.get(name) else settings
         each = yield_columns(scene, plain, settings)
         larger = [*effect.other_kinds(mechanism).values()]
@@ -61,11 +61,9 @@ def list_effect_blocks(
         if effect.alike:
             roots.append(_share_among_parts(stated, new))
             tried *= 2
-        joints = _find_own_columns(stated, new)
-        if len(settings) == 1 and len(joints) > 1:
-            # In one joint alone, as a law may be. A wave of any number would follow a dent there.
-            roots += [own[:, columns] for columns in joints.values()]
-            tried += len(joints)
+        # In one joint alone, as a law may be; a wave of any number would follow a dent there.
+        joints = _find_own_columns(stated, new) if scanned == 1 else {}
+        in_one = [own[:, columns] for columns in joints.values() if len(joints) > 1]
         usual = [root for root in roots for _ in settings]
         settings = len(roots) * settings
         if effect.alone and not (known.get(name) or scene.model.has_effect(name)):
@@ -76,7 +74,9 @@ def list_effect_blocks(
                 settings, tried, usual = [*settings, {}], tried + 1, [*usual, apart]
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         numbers = list_own_numbers(stated, new, settings)
-        block = Block.of(scene, name, EFFECT, prior, each, settings, tried, usual, numbers)
+        usual, settings = [*usual, *in_one], [*settings, *len(in_one) * settings[:1]]
+        given = prior, each, settings, tried, usual, numbers, len(in_one)
+        block = Block.of(scene, name, EFFECT, *given)
         if block is not None:
             found.append(block)
     return found

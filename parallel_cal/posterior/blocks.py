@@ -44,6 +44,9 @@ class Cause:
         Its numbers, which are scanned; empty for what has none.
     tried : int
         The number of settings that were scanned, which the evidence for one of them must pay for.
+    in_one : int
+        How many settings, the last, are of one joint alone. That it is alone is as improbable as
+        one more cause.
     """
 
     name: str
@@ -51,6 +54,15 @@ class Cause:
     log_prior: float
     settings: tuple[Mapping[str, float], ...]
     tried: int
+    in_one: int = field(default=0, kw_only=True)
+
+    @cached_property
+    def log_priors(self) -> np.ndarray:
+        """Logarithm of the odds (m,) that a robot has this cause with each of its settings."""
+        each = np.full(len(self.settings), self.log_prior - np.log(self.tried))
+        if self.in_one:
+            each[-self.in_one :] = self.log_prior + LOG_ODDS - np.log(self.in_one)
+        return each
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +110,7 @@ class Block(Cause):
         tried: int | None = None,
         usual: Sequence[np.ndarray] = (),
         own: OwnNumbers | None = None,
+        in_one: int = 0,
     ) -> Block | None:
         """Make a block of columns (n, p) for each setting; None if the geometry imitates it.
 
@@ -108,7 +121,7 @@ class Block(Cause):
         # In turn: together they are large.
         left = [scene.project_off_geometry(one).astype(np.float32) for one in columns]
         made = cls.of_projected(scene.residual, left, usual, name, kind, log_prior, settings, tried)
-        return made and replace(made, own=own)
+        return made and replace(made, own=own, in_one=in_one)
 
     @classmethod
     def of_projected(
@@ -261,8 +274,7 @@ class Stack:
     @cached_property
     def log_prior(self) -> np.ndarray:
         """Of each setting."""
-        priors = [block.log_prior - np.log(block.tried) for block in self.blocks]
-        return np.repeat(priors, [len(block.columns) for block in self.blocks])
+        return np.concatenate([block.log_priors for block in self.blocks])
 
     @cached_property
     def known(self) -> dict[Hashable, Any]:

@@ -42,7 +42,7 @@ class Choice:
     @property
     def log_prior(self) -> float:
         """Of this cause, this setting and this size."""
-        return float(self.block.log_prior + LOG_WEIGHTS[self.size] - np.log(self.block.tried))
+        return float(self.block.log_priors[self.setting] + LOG_WEIGHTS[self.size])
 
     @property
     def is_scanned(self) -> bool:

@@ -14,6 +14,7 @@ from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_effect
+from parallel_cal.posterior.blocks import LOG_ODDS
 from parallel_cal.posterior.evidence import Choice
 from parallel_cal.reporting.summary import describe_missing
 
@@ -172,7 +173,7 @@ def test_equal_parts_may_be_alike():
     data = robot.measured([], 1)
     scene = see(pc.fit(robot.model(), data, hold_out=0))
     [block] = list_effect_blocks(scene, ["servo_lag"], {})
-    apart, alike = (root @ root.T for root in block.usual)
+    apart, alike, *_ = (root @ root.T for root in block.usual)
     np.testing.assert_allclose(apart, np.eye(6))
     np.testing.assert_allclose(np.diag(alike), np.ones(6))
     between = np.eye(6)[0] - np.eye(6)[1]
@@ -198,12 +199,11 @@ def test_a_model_with_any_setting_of_a_scan_can_be_written_and_read(name):
 
 
 def test_an_effect_without_a_scanned_number_is_weighed_in_one_joint_alone():
-    """Of a wrong gain of one leg, six gains for all legs paid for five that are not there."""
-    model = replace(
-        new_model("stewart42"), noise=Noise(joint=1e-6, position=2e-6, orientation=1e-5)
-    )
-    data = pc.simulate(model, 40, 1, effects=["encoder_gain:leg3.gain=1e-3"]).dataset()
-    causes = Causes.of(see(pc.fit(model, data, hold_out=0)), ["encoder_gain"])
-    [found] = [one for one in causes.sum.search().chosen if one.block.name == "encoder_gain"]
-    assert found.block.tried == 1 + len(LEGS)
-    assert np.flatnonzero(found.usual.any(axis=1)).tolist() == [2]
+    """That it is alone is as improbable as one more cause; in all joints it costs nothing more."""
+    model = replace(new_model("delta54"), noise=Noise(joint=1e-5, position=1e-5, orientation=1e-4))
+    scene = see(pc.fit(model, pc.simulate(model, 40, 1).dataset(), hold_out=0))
+    [block] = list_effect_blocks(scene, ["encoder_eccentricity"], {})
+    together, *alone = [np.flatnonzero(root.any(axis=1)).tolist() for root in block.usual]
+    assert together == [0, 1, 2, 3, 4, 5]
+    assert alone == [[0, 1], [2, 3], [4, 5]]
+    np.testing.assert_allclose(block.log_priors - LOG_ODDS, [0, *3 * [LOG_ODDS - np.log(3)]])
