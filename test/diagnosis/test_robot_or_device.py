@@ -17,7 +17,6 @@ from findings import dataset, hiding, sized
 from twins import hexapod
 
 from parallel_cal.base.errors import FitError, ModelError
-from parallel_cal.diagnosis import confirmation
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.device import find_doubtful_effects
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -435,21 +434,3 @@ def test_an_effect_that_only_the_larger_model_can_have_fails_without_it_and_says
     alone = search.fit(Chosen("target_offset"))
     assert alone.result is None
     assert "the platform does not rotate" in alone.reason
-
-
-@pytest.mark.parametrize("ratio", [0.99, 1.01])
-def test_what_only_imitates_an_unknown_law_stays_if_the_error_falls_with_it(ratio, monkeypatch):
-    """An error of one joint that jumps with the sum of two joints. A cross-talk that the device may
-    cause has 5 %; the held-out error falls by 0.04 %, which another draw may turn to a rise."""
-
-    def jumps(q):
-        other = np.roll(q, -1, axis=-1)
-        return np.sign(np.sin(5 * (q + other))) * other
-
-    monkeypatch.setattr(confirmation, "ratio_of", lambda before, after: ratio)
-    law = vf.Kind((), lambda s, rng: vf.Outside(vf.of_first(jumps), s), 0.5e-3)
-    found = diagnose(new_model("delta54"), hiding([law], 1.0, seed=11)[0])
-    named = ("encoder_crosstalk",) if ratio < 1 else ()
-    assert (found.effects, found.robot_or_device) == (named, named)
-    assert found.left == "yes"
-    assert ("held-out poses does not fall with it" in found.verdict.text) == (ratio > 1)

@@ -93,13 +93,15 @@ def test_a_linear_deltas_platform_stays_below_its_carriages():
     )
     q = readings(model, 600)
     found = Kinematics(model).direct(q)
-    for one, pose, status in zip(q, found.position, found.status, strict=True):
+    sides = distances(model, found).direct_sign
+    [home] = distances(model, Kinematics(model).direct([[0.08] * 3])).direct_sign
+    for one, pose, status, side in zip(q, found.position, found.status, sides, strict=True):
         carriages = 0.1 * np.column_stack([np.cos(ANGLES), np.sin(ANGLES), one / 0.1])
         points = three_spheres(carriages, 0.25)
         if points is None:  # the six rods may close with a turned platform, but no path leads there
             assert status in (Status.UNREACHABLE, Status.OTHER_BRANCH)
-        elif status != Status.SINGULAR:
-            assert status == Status.CONVERGED
+        elif status != Status.SINGULAR:  # beyond a singularity, the platform could have turned
+            assert status == (Status.CONVERGED if side == home else Status.OTHER_BRANCH)
             np.testing.assert_allclose(pose, points[1], atol=1e-8)
 
 
