@@ -63,7 +63,7 @@ def list_effect_blocks(
             tried *= 2
         # In one joint alone, as a law may be; a wave of any number would follow a dent there.
         joints = _find_own_columns(stated, new) if scanned == 1 else {}
-        in_one = [own[:, columns] for columns in joints.values() if len(joints) > 1]
+        in_one = [own[:, columns] for columns in joints.values()]
         usual = [root for root in roots for _ in settings]
         settings = len(roots) * settings
         if effect.alone and not (known.get(name) or scene.model.has_effect(name)):
@@ -91,19 +91,20 @@ def list_own_numbers(
     if not effect.each or sum(effect.each in one for one in settings) < MIN_SCANNED:
         return None
     columns = _find_own_columns(model, new)
-    return OwnNumbers(effect.each, columns) if len(columns) > 1 else None
+    return OwnNumbers(effect.each, columns) if columns else None
 
 
 def _find_own_columns(model: Model, new: np.ndarray) -> dict[str, np.ndarray]:
     """Which of the new parameters of a model's last effect each joint has, for those that have
-    any."""
+    any; none if not more than one joint has."""
     names = np.array(model.table.names)[new]
     start = f"{model.effects[-1].name}."
     columns = {
         joint: np.flatnonzero([name.startswith(f"{start}{joint}.") for name in names])
         for joint in model.mechanism.joints
     }
-    return {joint: own for joint, own in columns.items() if own.size}
+    columns = {joint: own for joint, own in columns.items() if own.size}
+    return columns if len(columns) > 1 else {}
 
 
 def widen(scene: Scene, names: Iterable[str]) -> tuple[Scene, list[Block]]:

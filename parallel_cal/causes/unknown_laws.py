@@ -80,13 +80,18 @@ def _flat(scene: Scene, J: np.ndarray, functions: np.ndarray) -> np.ndarray:
     return np.einsum("nrk,nm->nrkm", _unit(J), functions).reshape(len(scene.residual), -1)
 
 
+def _smooth_each(own: np.ndarray, lengths: Sequence[tuple[float, int]]) -> list[list[np.ndarray]]:
+    """For each length and number of centres, functions (N, m) of the own value (N, n_joints) of
+    each joint."""
+    return [[smooth(values, *one) for values in own.T] for one in lengths]
+
+
 def _of_each_own(
-    scene: Scene, J: np.ndarray, own: np.ndarray, lengths: Sequence[tuple[float, int]]
+    scene: Scene, J: np.ndarray, functions: Sequence[Sequence[np.ndarray]]
 ) -> Iterator[list[np.ndarray]]:
-    """Yield for each length and number of centres, columns for each joint of an error of it that is
-    any function of its own value (N, n_joints)."""
-    for one in lengths:
-        yield [_flat(scene, J[:, :, [i]], smooth(own[:, i], *one)) for i in range(own.shape[1])]
+    """Yield for each length the columns for each joint of an error of it by these functions."""
+    for each in functions:
+        yield [_flat(scene, J[:, :, [i]], one) for i, one in enumerate(each)]
 
 
 def _principal(B: np.ndarray) -> np.ndarray:
@@ -105,13 +110,14 @@ def _joint_laws(scene: Scene) -> Iterator[Block | None]:
         # the residual itself is a smooth function of them. It is none of where the model touches.
         residual = scene.residual.reshape(len(q), -1)
         q = q - np.einsum("nij,nj->ni", np.linalg.pinv(J), residual)
-    own = _of_each_own(scene, J, q, OWN_LENGTHS)
-    yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, map(np.hstack, own))
+    own = _smooth_each(q, OWN_LENGTHS)
+    each = map(np.hstack, _of_each_own(scene, J, own))  # one at a time: the columns are large
+    yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, each)
     functions = [smooth(q, length, CENTRES) for length in ALL_LENGTHS]
     whole = (_flat(scene, J, one) for one in functions)
     yield Block.of(scene, "law of all joint readings", LAW, LOG_PRIOR, whole)
     single = (_flat(scene, J[:, :, [i]], one) for one in functions for i in range(n))
-    alone = chain.from_iterable(_of_each_own(scene, J, q, OWN_LENGTHS))
+    alone = chain.from_iterable(_of_each_own(scene, J, own))
     yield Block.of(scene, ONE_JOINT, LAW, LOG_PRIOR, chain(alone, single))
 
 
@@ -148,7 +154,7 @@ def _laws_of_motion(scene: Scene) -> Iterator[Block | None]:
         if not all(one in conditions and np.ptp(conditions[one]) > 0 for one in names):
             continue
         own = np.column_stack([conditions[one] for one in names])
-        columns = map(np.hstack, _of_each_own(scene, J, own, OWN_LENGTHS[1:]))
+        columns = map(np.hstack, _of_each_own(scene, J, _smooth_each(own, OWN_LENGTHS[1:])))
         yield Block.of(scene, f"law of {name}", LAW, LOG_PRIOR, columns)
 
 
