@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -64,7 +64,8 @@ Input = Annotated[
         "--input",
         help="CSV table; each row states the joint readings (direct) or the pose (inverse: x y z, "
         "and qx qy qz qw or the rotation vector rx ry rz; coordinates that the robot does not "
-        "control may be absent), in SI units or in those of the header (leg1 [mm])",
+        "control may be absent), in SI units or in those of the header (leg1 [mm]); other columns "
+        "are kept",
     ),
 ]
 Output = Annotated[
@@ -107,7 +108,7 @@ def direct(
     if table is not None:
         answer = direct_table(robot, table, conditions, solver, covariance)
         _output_table(answer, output, as_json)
-        _warn_unused(answer.unused)
+        console.warn(answer.warnings)
         return warn(answer.found, answer.conditions, answer.explained)
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
@@ -148,7 +149,7 @@ def inverse(
     if table is not None:
         answer = inverse_table(robot, table, conditions, solver, covariance)
         _output_table(answer, output, as_json)
-        _warn_unused(answer.unused)
+        console.warn(answer.warnings)
         missed = answer.differences and answer.differences.describe(robot.mechanism)
         return console.warn(
             [*_list_region_warnings(answer.found, robot, answer.conditions), *(missed or ())]
@@ -205,13 +206,9 @@ def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model,
 
     model = read_model(path).robot()
     conditions = parse_conditions(model, at or [])
-    _warn_unused([name for name in conditions if name not in model.conditions])
+    unused = [name for name in conditions if name not in model.conditions]
+    console.warn(unused and [f"no effect of the model depends on {', '.join(unused)}"])
     return model, conditions
-
-
-def _warn_unused(conditions: Sequence[str]) -> None:
-    if conditions:
-        console.warn([f"no effect of the model depends on {', '.join(conditions)}"])
 
 
 def _list_region_warnings(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from parallel_cal.base.errors import ModelError, SolveError
+from parallel_cal.base.errors import ModelError, SolveError, format_suggestion
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 from parallel_cal.base.units import CONDITION_UNITS, UNITS
 from parallel_cal.kinematics.answers import (
@@ -32,6 +32,7 @@ from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.columns import si_unit
 from parallel_cal.recordings.header_names import index_names
+from parallel_cal.recordings.joint_names import match_numbered_names
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 
 POSITION = ("x", "y", "z")
@@ -43,13 +44,15 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 class _SiTable:
     """A table whose columns have the names and SI units of a model's quantities.
 
-    `header` (without units), `factors` and `offsets` are in the order of the table's columns.
+    `header` (without units), `factors` and `offsets` are in the order of the table's columns;
+    `numbered` are the columns that were taken for joints by their numbers.
     """
 
     table: Table
     header: tuple[str, ...]
     factors: tuple[float, ...]
     offsets: tuple[float, ...]
+    numbered: Mapping[str, str]
 
     @classmethod
     def of(
@@ -58,12 +61,19 @@ class _SiTable:
         """Read the units in a header, `leg1 [mm]`; columns without a unit are in SI units.
 
         `units` are the SI units of the quantities that are no conditions. Names in `any_case` may
-        be in capitals. SolveError for a unit of another quantity.
+        be in capitals; joints that a table does not name are taken by their numbers. SolveError for
+        a unit of another quantity.
         """
-        given = index_names([split_unit(word)[0] for word in table.header])
+        words = [split_unit(word)[0] for word in table.header]
+        given = index_names(words)
         meant = {given[name]: name for name in any_case if name in given}
+        joints = [joint for joint in model.joints if joint in units]
+        lacking = not {*joints} & {*words}
+        alike = match_numbered_names(joints, words) if lacking else {}
+        meant |= {word: joint for joint, word in alike.items()}
         columns = [_read_word(table, word, model, units, meant) for word in table.header]
-        return cls(table, *zip(*columns, strict=True))
+        header, factors, offsets = zip(*columns, strict=True)
+        return cls(table, header, factors, offsets, alike)
 
     def column(self, name: str) -> np.ndarray:
         """Return a column (N,) in its SI unit, NaN for a cell that is not a number."""
@@ -75,16 +85,16 @@ class _SiTable:
         return np.column_stack([self.column(name) for name in names])
 
     def check(self, wanted: Sequence[str], optional: Sequence[str], model: Model) -> _SiTable:
-        """Return self; SolveError if wanted columns are missing, or if the table has others than
-        these, the optional ones and conditions."""
+        """Return self; SolveError if wanted columns are missing, or if one that is read occurs
+        twice."""
         header = self.header
-        known = {*wanted, *optional, *(name for name in header if _is_condition(model, name))}
+        read = {*wanted, *optional, *(name for name in header if _is_condition(model, name))}
         faults = {
             "missing": [name for name in wanted if name not in header],
-            "repeated": [name for name, n in Counter(header).items() if n > 1],
-            "unknown": [name for name in header if name not in known],
+            "repeated": [name for name, n in Counter(header).items() if n > 1 and name in read],
         }
         if any(faults.values()):
+            faults["unknown"] = [name for name in header if name not in read]
             also = f" (and may have {', '.join(optional)})" if optional else ""
             what = "; ".join(f"{kind}: {','.join(one)}" for kind, one in faults.items() if one)
             raise SolveError(
@@ -94,10 +104,22 @@ class _SiTable:
             )
         return self
 
-    def list_unused(self, model: Model, used: Collection[str]) -> tuple[str, ...]:
-        """List the columns that change nothing: conditions on which the model does not depend."""
-        pairs = zip(self.table.header, self.header, strict=True)
-        return tuple(word for word, name in pairs if name not in {*used, *model.conditions})
+    def list_warnings(self, model: Model, used: Collection[str]) -> Iterator[str]:
+        """Yield which columns were taken for joints, which change nothing, and which cells are no
+        numbers, so that their rows have no solution."""
+        read = {*used, *model.conditions}
+        pairs = [*zip(self.table.header, self.header, strict=True)]
+        unused = [word for word, name in pairs if name not in read and _is_condition(model, name)]
+        unread = [word for word, name in pairs if name not in {*read, *unused} and word]
+        near = "".join(format_suggestion(word, [*model.conditions]) for word in unread)
+        if taken := ", ".join(f"{word} for {joint}" for joint, word in self.numbered.items()):
+            yield f"joints were matched by their numbers: {taken}. If this is wrong, rename them"
+        if unread:
+            yield f"columns that are not read: {', '.join(unread)}{near}"
+        if unused:
+            yield f"no effect of the model depends on {', '.join(unused)}"
+        if bad := self.table.describe_bad_cells([word for word, name in pairs if name in read]):
+            yield f"{bad}. A row without a number has no solution"
 
 
 def _read_word(
@@ -134,8 +156,8 @@ def _is_condition(model: Model, name: str) -> bool:
 class Answer(NamedTuple):
     """The solutions of a table: as CSV, as numbers with their covariances (N, n, n) if these were
     asked for, the conditions of its rows, the explained residuals (N,) of a robot with more joints
-    than freedoms, the differences of an inverse problem's solutions from the given poses, and the
-    columns that changed nothing."""
+    than freedoms, the differences of an inverse problem's solutions from the given poses, and what
+    to know of the table."""
 
     text: str
     found: Solutions
@@ -143,7 +165,7 @@ class Answer(NamedTuple):
     conditions: Conditions
     explained: np.ndarray | None = None
     differences: Differences | None = None
-    unused: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def direct_table(
@@ -164,8 +186,8 @@ def direct_table(
     explained = explained_residuals(model, found, conditions)
     more = {} if explained is None else {"explained_residual": explained}
     text = _text(table.table, names, values, found, POSE, known, more)
-    unused = table.list_unused(model, model.joints)
-    return Answer(text, found, known, conditions, explained, unused=unused)
+    warnings = tuple(table.list_warnings(model, model.joints))
+    return Answer(text, found, known, conditions, explained, warnings=warnings)
 
 
 def inverse_table(
@@ -210,8 +232,8 @@ def inverse_table(
     differences = Differences.of(found, asked[:, :3] if has_places else None, R)
     more = {f"{kind}_difference": size for kind, size in differences.uncontrolled(m).items()}
     text = _text(table.table, model.joints, found.joints, found, model.joints, known, more)
-    unused = table.list_unused(model, (*wanted, *optional))
-    return Answer(text, found, known, conditions, differences=differences, unused=unused)
+    warnings = tuple(table.list_warnings(model, (*wanted, *optional)))
+    return Answer(text, found, known, conditions, differences=differences, warnings=warnings)
 
 
 def _pose_columns(m: Mechanism, header: set[str]) -> tuple[list[str], list[str]]:
@@ -272,16 +294,18 @@ def _text(
     """Format the given cells, the solution, the standard deviations of the `uncertain` numbers
     (`sigma.x`) if they are known, `more` columns (N,), the residual (m) and the status as CSV.
 
-    A row that is not solved keeps its cells.
+    A row that is not solved keeps its cells. An answer whose name the table has already is
+    `solved.NAME`.
     """
     if covariances is not None:
         names = [*names, *(f"sigma.{name}" for name in uncertain)]
         variances = np.diagonal(covariances, axis1=1, axis2=2)
         values = np.hstack([values, np.sqrt(variances)])
-    names, values = [*names, *more], np.column_stack([values, *more.values()])
+    names, values = [*names, *more, "residual", "status"], np.column_stack([values, *more.values()])
+    taken = {part for word in table.header for part in (word, split_unit(word)[0])}
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*table.header, *names, "residual", "status"])
+    writer.writerow([*table.header, *(f"solved.{n}" if n in taken else n for n in names)])
     width = len(table.header)
     for cells, row, residual, status in zip(
         table.rows, values.tolist(), found.residual.tolist(), found.status, strict=True

@@ -153,7 +153,7 @@ class Table:
             numbers, texts = self.column(name), self.texts(name)
             filled = np.isfinite(numbers)
             if any(texts[k] or not gaps for k in np.flatnonzero(~filled)):
-                raise self._name_bad_cells((*names, *self.needed), gaps)
+                raise DatasetError(self.describe_bad_cells((*names, *self.needed), gaps))
             if (bad := find_unconverted(numbers[filled])) is not None:
                 k = np.flatnonzero(filled)[bad]
                 raise DatasetError(
@@ -164,20 +164,23 @@ class Table:
             columns.append(numbers)
         return np.column_stack(columns)
 
-    def _name_bad_cells(self, names: Sequence[str], gaps: bool) -> DatasetError:
-        """Return the error that names the first cells of these columns that are no numbers."""
-        (line, name, text), *others = sorted(
+    def describe_bad_cells(self, names: Sequence[str], gaps: bool = False) -> str:
+        """Name the first cells of these columns that are no numbers; empty if there are none."""
+        cells = sorted(
             (self.lines[k], name, text)
             for name in dict.fromkeys(names)
             for k, text in enumerate(self.texts(name))
             if (text or not gaps) and not math.isfinite(self._number(text))
         )
+        if not cells:
+            return ""
+        (line, name, text), *others = cells
         commas = self.decimal != "," and any("," in t for _, _, t in [("", "", text), *others])
         hint = DECIMAL_COMMA * commas
         what = f"{self.path}:{line}: column {name} contains {text!r:.60}, expected a finite number"
         if not others:
-            return DatasetError(f"{what}: enter one or remove the line{hint}")
-        return DatasetError(
+            return f"{what}: enter one or remove the line{hint}"
+        return (
             f"{what}. {len(others) + 1} cells have this fault, also {_join_cells(others)}: enter "
             f"numbers or remove the lines{hint}"
         )

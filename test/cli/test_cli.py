@@ -709,8 +709,9 @@ def test_a_malformed_table_is_a_clear_error_and_writes_nothing(run, tmp_path):
     for text, word in (
         ("", "empty; expected a header"),
         ("a,b,c\n1,2,3\n", "header 'a,b,c' (missing: joint1,joint2,joint3; unknown: a,b,c); "),
-        ("joint1,joint2,joint3,speed\n1,2,3,4\n", "(unknown: speed); expected the columns joint1"),
+        ("joint1,speed\n1,4\n", "(missing: joint2,joint3; unknown: speed); expected the columns"),
         ("joint1,joint2,joint2\n1,2,3\n", "(missing: joint3; repeated: joint2); expected the"),
+        ("joint1,joint2,joint3,joint3\n1,2,3,3\n", "(repeated: joint3); expected the columns"),
     ):
         (tmp_path / "q.csv").write_text(text)
         result = run(
@@ -731,6 +732,40 @@ def test_columns_of_a_table_that_change_nothing_are_named(run, tmp_path):
         code, _, err = run(command, DELTA24, "--input", tmp_path / "t.csv")
         assert code == 0
         assert "warning: no effect of the model depends on temperature, direction\n" in err
+
+
+def test_a_table_of_measurements_is_solved_without_changes(run, document, tmp_path):
+    """`direct` and `inverse` refused the table that `fit` takes: names, units, measured poses."""
+    table, solved = tmp_path / "t.csv", tmp_path / "s.csv"
+    head = "point,q_1 [deg],q_2 [deg],q_3 [deg],x_mm,y_mm,z_mm,note"
+    table.write_text(f"{head}\nA,10,20,30,0,0,200,first\nB,30,abc,10,0,10,200,second\n")
+    code, _, err = run("direct", DELTA24, "--input", table, "--output", solved)
+    assert code == 0
+    said = (
+        "joints were matched by their numbers: q_1 for joint1, q_2 for joint2, q_3 for joint3. If",
+        "columns that are not read: point, x_mm, y_mm, z_mm, note\n",
+        "t.csv:3: column q_2 [deg] contains 'abc', expected a finite number: enter one or",
+    )
+    assert all(f"warning: {words}" in err or words in err for words in said)
+    first, second = rows(solved)
+    given = dict(zip(head.split(","), "A,10,20,30,0,0,200,first".split(","), strict=True))
+    assert given.items() <= first.items()  # nothing of the table is lost, or hidden by an answer
+    joints = ["--joints", " ".join(str(v) for v in np.radians([10, 20, 30]))]
+    (alone,) = document("direct", DELTA24, *joints)["solutions"]
+    assert [float(first[f"solved.{axis}"]) for axis in "xyz"] == pytest.approx(alone["position"])
+    assert second["status"] == "invalid_input"
+    # What one of them writes, the other reads.
+    code, _, err = run("inverse", DELTA24, "--input", solved, "--output", tmp_path / "back.csv")
+    assert code == 0
+    assert {"joint1", "solved.status"} <= rows(tmp_path / "back.csv")[0].keys()
+
+
+def test_a_misspelt_condition_is_named_with_the_one_that_it_may_be(run, tmp_path):
+    robot = tmp_path / "m.yaml"
+    write_model(new_model("delta24").with_effect("thermal_expansion"), robot)
+    (tmp_path / "t.csv").write_text("joint1,joint2,joint3,temprature\n.5,.5,.5,30\n")
+    result = run("direct", robot, "--input", tmp_path / "t.csv", "--at", "temperature=20")
+    assert "columns that are not read: temprature; did you mean 'temperature'?" in result[2]
 
 
 @pytest.mark.parametrize("rows", ["", "\n , ,\n"])
