@@ -344,6 +344,18 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     return Scan(scene, beside, best).refine()
 
 
+def renew(scene: Scene, block: Block, found: Choice) -> Block:
+    """The block of a cause, with the numbers that were found about another scene."""
+    if found.block.scanned is None:
+        return block
+    scan = Scan(scene, _beside_nothing(scene), Choice(block, 0, 1))
+    return scan.at(found.block.settings[found.setting])
+
+
+def _beside_nothing(scene: Scene) -> Evidence:
+    return Evidence(float(scene.residual @ scene.residual), scene.dof, UNKNOWN)
+
+
 def choose_setting(
     scene: Scene, name: str, settings: Sequence[Mapping[str, float]], apart: bool = False
 ) -> tuple[Mapping[str, float], Mapping[str, float]]:
@@ -358,7 +370,7 @@ def choose_setting(
     block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings, own=own)
     if block is None:  # the geometry imitates it
         return settings[0], {}
-    nothing = Evidence(float(scene.residual @ scene.residual), scene.dof, UNKNOWN)
+    nothing = _beside_nothing(scene)
     [ranked] = nothing.rank(block.alone)
     if ranked.log_p <= nothing.log_p:
         return settings[ranked.best.setting], {}

@@ -12,7 +12,7 @@ import numpy as np
 
 from parallel_cal.causes.effects import list_effect_blocks, widen
 from parallel_cal.causes.knocks import are_few, list_knock_blocks
-from parallel_cal.causes.settings import refine_setting
+from parallel_cal.causes.settings import refine_setting, renew
 from parallel_cal.causes.unknown_laws import list_unknown_blocks
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
@@ -114,11 +114,14 @@ class Causes:
         return float(left @ left)
 
     def explain(
-        self, refuted: Collection[str] = (), near: Sequence[Choice] = ()
+        self,
+        refuted: Collection[str] = (),
+        near: Sequence[Choice] = (),
+        near_without_laws: Sequence[Choice] = (),
     ) -> tuple[Posterior, Posterior, tuple[Chosen, ...]]:
-        """Sum over all sets of causes, and over those without unknown laws of the robot, beginning
-        with what was found `near` this problem; return the effects that describe the residual
-        best, too.
+        """Sum over all sets of causes, and over those without unknown laws of the robot, each
+        beginning with what was found so near this problem; return the effects that describe the
+        residual best, too.
 
         Where an unknown law of the robot is likely, known effects imitate it at best. They are
         chosen as if there were no such law, since the error may fall with them; their probability
@@ -127,16 +130,14 @@ class Causes:
         Beside noise that drifts, an effect of time is not told from it.
         """
         possible = replace(self.sum, left_out=frozenset(refuted))
-        there = {block.name: block for block in possible.blocks}
-        names = [one.block.name for one in near if one.block.name in there]
-        start = possible.choose([there[name] for name in names])
-        posterior, possible = self._search_with_knocks(possible, start)
+        posterior, possible = self._search_with_knocks(possible, self._resume(possible, near))
         described = posterior
         likely = {one.block.name for one in posterior.chosen}
         if any(posterior.kinds[name] == LAW for name in likely):
             laws = {block.name for block in possible.blocks if block.kind == LAW}
             without = replace(possible, left_out=laws | {*refuted})
-            described = self._search(without, posterior.chosen)
+            start = self._resume(without, near_without_laws) or posterior.chosen
+            described = self._search(without, start)
         drifts = any(one.block.kind == DRIFT for one in described.chosen)
 
         def is_named(one: Choice) -> bool:
@@ -151,6 +152,12 @@ class Causes:
             return block.name in likely or not (one.is_scanned or is_wave or effect.of_device)
 
         return posterior, described, as_effects(filter(is_named, described.chosen))
+
+    def _resume(self, possible: Sum, near: Sequence[Choice]) -> tuple[Choice, ...]:
+        """What was found near this problem, as far as it is possible, with its numbers."""
+        there = {block.name: block for block in possible.blocks}
+        kept = [one for one in near if one.block.name in there]
+        return possible.choose([renew(self.scene, there[one.block.name], one) for one in kept])
 
     def list_possible(self, found: Posterior, swaps: Mapping[str, Sequence[str]]) -> Doubt:
         """The sets that a sum leaves possible, with these `swaps` of what it found."""

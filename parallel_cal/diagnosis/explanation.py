@@ -29,6 +29,7 @@ from parallel_cal.identification.observations import conditions
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW
+from parallel_cal.posterior.evidence import Choice
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior, WeighedSetting
 
@@ -98,10 +99,10 @@ class Explanation:
         scene = _scene_about(base, base, known) if first else base.scene
         causes, seen = Causes.of(scene, names), list[frozenset[Chosen]]()
         absurd = dict[str, str]()
-        posterior: Posterior | None = None
+        near = tuple[Sequence[Choice], ...]()
         while True:
-            near = posterior.chosen if posterior else ()
-            posterior, described, more = causes.explain({*refuted, *absurd}, near)
+            posterior, described, more = causes.explain({*refuted, *absurd}, *near)
+            near = posterior.chosen, described.chosen
             if knocked := tuple(set_aside(posterior.knocked)):
                 return cls(search, posterior, described, base, refuted, knocked=knocked)
             chosen = (*first, *more)

@@ -118,17 +118,21 @@ class Sum:
         for k, one in enumerate(chosen):
             rest = self.evidence(chosen[:k] + chosen[k + 1 :], nu)
             chosen = (*chosen[:k], self._refined(rest, one), *chosen[k + 1 :])
-        if chosen:
-            chosen = self._prune(self._polish(chosen, nu), nu)
-        while sum(one.block.kind != KNOCK for one in chosen) < MAX_CAUSES:
-            now = self.evidence(chosen, nu)
+        # Beside a cause that is not there yet, another one would only take its place.
+        chosen, polished = self._prune(chosen, nu), not chosen
+        while True:
             if self.stated:
                 nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
-                now = self.evidence(chosen, nu)
-            more = self._grow(now, nu) or self._split(now, nu)
+            now = self.evidence(chosen, nu)
+            has_room = sum(one.block.kind != KNOCK for one in chosen) < MAX_CAUSES
+            more = self._grow(now, nu) if has_room else None
+            if more is None and not polished:
+                more = self._prune(self._polish(chosen, nu), nu)
+            elif more is None and has_room:
+                more = self._split(now, nu)
             if more is None:
                 break
-            chosen = more
+            chosen, polished = more, True
         if self.stated:
             nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
         return self._sum_nearby(chosen, nu)

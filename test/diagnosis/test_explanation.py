@@ -1,8 +1,12 @@
 """The sum made again about a fit, and the fits that prove what it names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import virtual_findings as vf
 from datasets import measured
+from findings import hiding
 from virtual_setups import random_delta
 
 from parallel_cal.causes.effects import list_effects_to_test
@@ -12,9 +16,10 @@ from parallel_cal.diagnosis.addition import find_addition, with_given_model_of
 from parallel_cal.diagnosis.causes import Causes
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Chosen, Search
-from parallel_cal.identification.fit import fit_unjudged
+from parallel_cal.identification.fit import fit, fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import new_model
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.summary import summarize
 from parallel_cal.session.steps import add
@@ -68,6 +73,22 @@ def test_what_imitates_the_curvature_of_a_large_effect_is_not_named(
     _, described, chosen = again.explain()
     assert [one.name for one in chosen] == ["backlash"]
     assert again.find_nearer(search, (), search.fit_as_shown(PLAY, judged=False), described) is None
+
+
+def test_a_sum_made_again_begins_with_the_numbers_that_were_found():
+    """Of the same problem, it finds the same, without a search between the scanned numbers."""
+    data = hiding([vf.KINDS["gear ripple"]], 1.0, 0)[0]
+    names = ["gear_transmission_error", "backlash"]
+    base = fit(new_model("delta54"), data, hold_out=0)
+    scene = Scene.of(base.model, base.dataset, base.observations, base.free)
+    causes = Causes.of(scene, names, kinds=())
+    posterior, described, [gear] = causes.explain()
+    [again] = causes._resume(causes.sum, described.chosen)
+    settings = dict(gear.settings)
+    assert again.block.settings[again.setting] == settings
+    assert settings not in [*again.block.scanned.settings]  # between those that were scanned
+    assert causes._resume(replace(causes.sum, left_out={gear.name}), described.chosen) == ()
+    assert causes.explain((), posterior.chosen, described.chosen)[2] == (gear,)
 
 
 def test_an_effect_is_added_beside_those_that_the_compared_model_does_not_have(search, base):

@@ -179,6 +179,25 @@ def test_a_probability_is_the_share_of_true_statements():
         assert abs(share - expected) < 3 * chance + 0.01
 
 
+def test_what_is_not_there_yet_is_added_before_another_cause_takes_its_place():
+    """Alone, one of two causes is less likely than a third that imitates both."""
+    rng = np.random.default_rng(3)
+    first, second = rng.standard_normal((2, 40, 2))
+    scene = Residual((first + second) @ [3.0, 2.0] + rng.standard_normal(40))
+    both = first + second + 0.2 * rng.standard_normal((40, 2))
+    blocks = [
+        Block.of(scene, name, EFFECT, np.log(0.1), [own], [{}])
+        for name, own in (("first", first), ("second", second), ("imitates both", both))
+    ]
+    made = Sum(scene, Stack.of_alike(blocks), STATED)
+    near = made.choose(blocks[:1])
+    alone, imitated = (made.evidence(made.choose([blocks[k]]), STATED).log_p for k in (0, 2))
+    assert imitated > alone
+    found = made.search(near)
+    assert {one.block.name for one in found.chosen} == {"first", "second"}
+    assert made.evidence(found.chosen, STATED).log_p > imitated
+
+
 def test_a_smooth_function_has_variance_one_and_the_stated_correlation():
     x = np.linspace(-2, 2, 41)
     B = smooth(x, 0.8, 30)
