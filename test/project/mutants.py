@@ -344,7 +344,7 @@ MUTANTS = (
         "        if error * MIN_GUESS_ERROR_RATIO < before\n",
         "        if error < before\n",
         "another machine is taken for one whose motors are in the wrong columns",
-        "test_crane.py::test_a_model_of_another_machine_is_told_apart_from_one_that_needs_no_change",
+        "test_column_doubts.py::test_no_other_meaning_is_named_that_explains_hardly_more_than_the_given_one",
     ),
     Mutant(
         "identification/column_doubts.py",
