@@ -254,6 +254,11 @@ def test_semiparametric_models_predict_unseen_poses(robot, weighted):
     model, truth, observations = shown(robot, noisy=True)
     found = semiparametric.identify(model, observations, weighted=weighted)
     assert position_error(found, true).mean() < position_error(model, true).mean() / 5
+    if weighted:  # by the noise, which the linear solution does not know
+        linear = semiparametric.identify(model, observations, weighted=False)
+        assert position_error(found, true).mean() < position_error(linear, true).mean()
+        assert found.covariance is not None
+        assert linear.covariance is None
 
 
 def test_sensitivity_matrix_finds_the_papers_six_base_parameters():
