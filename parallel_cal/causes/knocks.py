@@ -20,9 +20,10 @@ MAX_KNOCKED_SHARE = 0.05
 MIN_DETERMINED = 1e-9  # of a row that the other samples predict: less is rounding
 
 
-def list_knock_blocks(scene: Scene, chosen: Sequence[Choice] = ()) -> list[Block]:
+def list_knock_blocks(scene: Scene, count: int, chosen: Sequence[Choice] = ()) -> list[Block]:
     """One block for each of the samples without which the residual falls most beside the chosen
-    causes: such a sample shows anything.
+    causes: such a sample shows anything. One in `count` samples was disturbed, with the odds of a
+    cause.
 
     A sample that does not state from which sides its joints came is wrong for every effect
     that depends on them. A sample of a continuous motion is not disturbed alone.
@@ -36,7 +37,7 @@ def list_knock_blocks(scene: Scene, chosen: Sequence[Choice] = ()) -> list[Block
     found = []
     for i in np.union1d(furthest, without).tolist():
         number = int(dataset.numbers[i])
-        prior = 0.0 if number in sideless else LOG_ODDS - np.log(len(dataset))
+        prior = 0.0 if number in sideless else LOG_ODDS - np.log(count)
         # Any change of the rows of this sample that say anything: (n, informative).
         informative, setting = int(scene.informative[i]), {"sample": number}
         rows = np.zeros((len(scene.x), scene.rows, informative))

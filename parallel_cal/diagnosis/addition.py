@@ -15,7 +15,7 @@ from parallel_cal.base.progress import Progress
 from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.causes.knocks import are_few
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
-from parallel_cal.diagnosis.causes import Causes
+from parallel_cal.diagnosis.causes import Causes, find_knocked_samples
 from parallel_cal.diagnosis.device import find_doubtful_effects
 from parallel_cal.diagnosis.patterns import (
     explain_exclusion,
@@ -23,6 +23,7 @@ from parallel_cal.diagnosis.patterns import (
     list_samples_far_from,
 )
 from parallel_cal.diagnosis.stations import exclude_device
+from parallel_cal.diagnosis.thresholds import MAX_DIAGNOSED_SAMPLES
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
@@ -120,8 +121,13 @@ class Addition:
     def _find_doubt(self) -> tuple[tuple[str, ...], str]:
         """Find the effects that the other side, robot or device, may cause, and explain why; no
         effect and no text if nothing suggests it."""
-        doubtful = find_doubtful_effects(self.scene, self.effects)
-        return tuple(doubtful), robot_or_device(doubtful[0]) if doubtful else ""
+        part = next(self.scene.divide(MAX_DIAGNOSED_SAMPLES))
+        doubtful = find_doubtful_effects(part, self.effects)
+        if not doubtful:
+            return (), ""
+        some, every = len(part.dataset), len(self.scene.dataset)
+        seen = f" (weighed with {some} of {every} samples, evenly spread over the recording)"
+        return tuple(doubtful), robot_or_device(doubtful[0]) + (seen if some < every else "")
 
 
 def find_addition(
@@ -178,8 +184,10 @@ def find_addition(
         placed = base.given.place(extended, how)
         return fit_unjudged(placed, base.dataset, how, progress, base.given).judge(progress)
 
-    def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
-        scene, added = see(base), list[Candidate]()
+    def extend(
+        base: FitResult, scene: Scene, aside: Sequence[int], result: FitResult | None = None
+    ) -> Addition:
+        added = list[Candidate]()
         for name, settings in asked:
             known = WeighedSetting(settings, 1.0, {}) if settings else None
             added.append(candidate(scene, name, known=known, apart=True))
@@ -191,19 +199,21 @@ def find_addition(
         if base.implausible and knocked is None and base.outliers and not aside:
             # The geometry may follow a few samples that contradict all others.
             return fit_both(base.outliers.numbers)
+        scene = see(base)
         if knocked is None and options.loss == "linear":
             names = list_effects_to_test(base.model, [name for name, _ in asked])
-            more = {*Causes.of(see(base), names).find_knocked_samples()} - trusted
+            more = {*find_knocked_samples(scene, names)} - trusted
             if more and are_few([*aside, *more], dataset):
+                del scene  # it is large, and the next fits have their own
                 others = fit_both(sorted([*aside, *more]), trusted)
                 model_found, seen = others.result.model, base.observations
                 far = list_samples_far_from(model_found, base.dataset, seen, more)
                 innocent = find_innocent_samples(far, more)
                 return fit_both(aside, trusted | innocent) if innocent else others
-        return extend(base, aside)
+        return extend(base, scene, aside)
 
     if known:
-        return extend(known[0], (), known[1])
+        return extend(known[0], see(known[0]), (), known[1])
     return fit_both(knocked or ())
 
 

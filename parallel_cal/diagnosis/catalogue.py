@@ -21,6 +21,7 @@ from parallel_cal.causes.effects import (
 from parallel_cal.causes.settings import choose_setting
 from parallel_cal.diagnosis.scoring import Score, score
 from parallel_cal.diagnosis.thresholds import (
+    MAX_DIAGNOSED_SAMPLES,
     MIN_SLOW_CORRELATION,
     MIN_VISIBLE_SIGMAS,
 )
@@ -138,7 +139,8 @@ def candidate(
     if known:
         setting, sigma = known.values, known.sigma
     elif several:
-        setting, sigma = choose_setting(scene, name, settings, apart)
+        part = next(scene.divide(MAX_DIAGNOSED_SAMPLES))
+        setting, sigma = choose_setting(part, name, settings, apart)
     else:
         setting, sigma = settings[0], {}
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))

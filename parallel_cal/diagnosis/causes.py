@@ -3,6 +3,7 @@ and whether the refits of the true problem bear out what it names."""
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -28,6 +29,9 @@ from parallel_cal.posterior.search import Posterior, Sum
 # Of chi2, between a fit and what the linear problem predicts: in 20 sessions at most 1.5 where a
 # sum about the new geometry gave the same causes, and 6 and 130 where effects were mistaken.
 MAX_LINEAR_ERROR = 2.0
+# In so many samples, the whole catalogue is searched for what may hide a disturbed sample: a tenth
+# of the noise stands out in them by 0.1 * sqrt(3 * 1000) = 5 sigmas, and hides none.
+MAX_SEARCHED_SAMPLES = 1000
 
 
 @dataclass(frozen=True)
@@ -47,12 +51,13 @@ class Doubt:
 @dataclass(frozen=True)
 class Causes:
     """All that may cause what one scene shows, in units of a `variance` of the noise; `nu` is as in
-    `Sum`."""
+    `Sum`. Its samples are a part of `count`, or all."""
 
     scene: Scene
     blocks: Sequence[Block]
     nu: float
     variance: float
+    count: int
 
     @classmethod
     def of(
@@ -61,15 +66,18 @@ class Causes:
         names: Sequence[str],
         settings: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
         kinds: Collection[str] = (LAW, FIELD, DRIFT, KNOCK),
+        count: int | None = None,
     ) -> Causes:
         """All causes, of which the effects are these `names`; `settings` holds those of an effect
-        that are known. Causes that no effect describes are of these `kinds`."""
+        that are known. Causes that no effect describes are of these `kinds`. The samples are a part
+        of `count`, by default all."""
+        count = count or len(scene.dataset)
         variance, nu = _find_noise(scene)
         scene, larger = widen(scene.in_units_of(variance), names)
         effects = list_effect_blocks(scene, names, settings)
         unknown = list_unknown_blocks(scene, kinds)
-        knocks = list_knock_blocks(scene) if KNOCK in kinds else []
-        return cls(scene, [*larger, *effects, *unknown, *knocks], nu, variance)
+        knocks = list_knock_blocks(scene, count) if KNOCK in kinds else []
+        return cls(scene, [*larger, *effects, *unknown, *knocks], nu, variance, count)
 
     @cached_property
     def sum(self) -> Sum:
@@ -172,9 +180,30 @@ class Causes:
         likeliest = self.sum.evidence(found.chosen, found.nu)
         return Doubt(self.scene, self.variance * likeliest.noise_variance, tuple(sets))
 
-    def find_knocked_samples(self) -> tuple[int, ...]:
-        """Find the samples that were disturbed alone, whatever else is missing."""
-        return self._search_with_knocks(self.sum)[0].knocked
+    def search(self) -> Posterior:
+        """Sum over the sets of all causes, among them each sample that may have been disturbed."""
+        return self._search_with_knocks(self.sum)[0]
+
+    def find_knocked_beside(self, found: Posterior) -> set[int]:
+        """Find the samples that were disturbed alone, beside causes `found` in other samples."""
+        blocks, chosen = {block.name: block for block in self.blocks}, tuple[Choice, ...]()
+        for one in found.chosen:
+            if (block := blocks.get(one.block.name)) is not None:
+                if block.kind == EFFECT:
+                    one = self.sum.evidence(chosen, found.nu).rank_one(block).best
+                # Unknown laws have their settings in the same order in each part of the samples.
+                chosen = (*chosen, Choice(block.only(one.setting), 0, one.size))
+        knocked = dict[int, Choice]()
+        while are_few(knocked, self.scene.dataset):
+            now = self.sum.evidence((*chosen, *knocked.values()), found.nu)
+            stacks = Stack.of_alike(list_knock_blocks(self.scene, self.count, now.chosen))
+            ranked = (one for stack in stacks for one in now.rank(stack))
+            likely = [one.best for one in ranked if one.log_p > now.log_p]
+            more = {int(one.block.settings[0]["sample"]): one for one in likely}
+            if knocked.keys() >= more.keys():
+                break
+            knocked = more | knocked
+        return {*knocked}
 
     def _search(self, possible: Sum, start: Sequence[Choice] = ()) -> Posterior:
         """Sum over the sets of some causes, from a set that may be near."""
@@ -199,10 +228,31 @@ class Causes:
         """Further samples that may have been disturbed, if one of them makes what was found
         likelier: what is known now may have hidden it."""
         known = {block.name for block in possible.blocks}
-        more = [one for one in list_knock_blocks(self.scene, found.chosen) if one.name not in known]
+        knocks = list_knock_blocks(self.scene, self.count, found.chosen)
+        more = [one for one in knocks if one.name not in known]
         now, stacks = possible.evidence(found.chosen, found.nu), Stack.of_alike(more)
         ranked = (one for stack in stacks for one in now.rank(stack))
         return stacks if any(one.log_p > now.log_p for one in ranked) else []
+
+
+def find_knocked_samples(scene: Scene, names: Sequence[str]) -> tuple[int, ...]:
+    """Find the samples that were disturbed alone, whatever else is missing: effects of these
+    `names`, or what no effect describes.
+
+    Of many samples, an evenly spread part shows what is missing; each other part is searched for
+    such samples beside that.
+    """
+    if scene.dataset.mode == "continuous":  # no sample of a motion is disturbed alone
+        return ()
+    parts, count = scene.divide(MAX_SEARCHED_SAMPLES), len(scene.dataset)
+    found = Causes.of(next(parts), names, count=count).search()
+    effects = {one.name: one.settings for one in as_effects(found.chosen)}
+    kinds, knocked = {one.block.kind for one in found.chosen}, {*found.knocked}
+    for part in parts:
+        gc.collect()  # blocks and their stacks, which are large, refer to each other
+        causes = Causes.of(part, [*effects], effects, kinds, count)
+        knocked |= causes.find_knocked_beside(found)
+    return tuple(sorted(knocked))
 
 
 def as_effects(causes: Iterable[Choice]) -> tuple[Chosen, ...]:

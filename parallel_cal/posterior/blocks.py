@@ -192,6 +192,21 @@ class Block(Cause):
         made = self.of_projected(self.residual, [B], [self.usual[common]], *given)
         return made and replace(made, scanned=self)
 
+    def only(self, setting: int) -> Block:
+        """This cause with one of its settings."""
+        here = slice(setting, setting + 1)
+        return replace(
+            self,
+            settings=self.settings[here],
+            in_one=0,
+            columns=self.columns[here],
+            turns=self.turns[here],
+            squares=self.squares[here],
+            onto=self.onto[here],
+            usual=self.usual[here],
+            own=None,
+        )
+
     def price(self, apart: int) -> tuple[float, int]:
         """The log odds of this cause, and the number of settings to choose from, if some joints
         have a number of their own: each is as improbable as one more cause."""

@@ -113,19 +113,19 @@ class Evidence:
 
     @cached_property
     def _inverse_root(self) -> tuple[np.ndarray, np.ndarray]:
-        """U (n, k) and w (k,) of S^-1/2 = 1 - U diag(w) U'."""
+        """U and U diag(w), both (n, k), of S^-1/2 = 1 - U diag(w) U'."""
         C = np.hstack([SIZES[one.size] * one.block.at(one.setting) for one in self.chosen])
         squares, V = np.linalg.eigh(C.T @ C)
         counts = squares > NEGLIGIBLE
         U = C @ (V[:, counts] / np.sqrt(squares[counts]))
-        return U, 1 - 1 / np.sqrt(1 + squares[counts])
+        return U, U * (1 - 1 / np.sqrt(1 + squares[counts]))
 
     def take_out(self, columns: np.ndarray) -> np.ndarray:
         """Columns (n, k) or (n,) times S^-1/2: without what the chosen causes explain."""
         if not self.chosen:
             return columns
-        U, w = self._inverse_root
-        return np.asarray(columns - (U * w) @ (U.T @ columns))
+        U, Uw = self._inverse_root
+        return np.asarray(columns - Uw @ (U.T @ columns))
 
     @property
     def outside(self) -> Evidence:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, REL
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
+MIN_POSES_OF_PART = 100  # as many as a usual session has: they determine the geometry
 MAX_SHARED_BYTES = 2**27  # of derivatives of effects that the scenes of one diagnosis share
 
 
@@ -157,6 +158,24 @@ class Scene:
             more = np.sqrt((1 + known**2) / (1 + (scale * known) ** 2)) - 1
             residual = residual + self.basis @ (more * (self.basis.T @ residual))
         return replace(self, residual=residual, whitener=scale * self.whitener, sizes=sizes)
+
+    def divide(self, most: int) -> Iterator[Scene]:
+        """Yield scenes of the same model that share the samples: each has about `most` of them, but
+        no fewer than MIN_POSES_OF_PART poses, evenly spread over the recording, with all visits of
+        them. The scene itself if it has no more."""
+        poses, pose = np.unique(self.dataset.pose_id, return_inverse=True)
+        count = min(-(-len(self.x) // most), len(poses) // MIN_POSES_OF_PART)
+        if count < 2:
+            yield self
+            return
+        # Of `count` poses that follow one another, each part has one that is drawn: every third of
+        # a raster may be at one side.
+        turns = np.tile(np.arange(count), (-(-len(poses) // count), 1))
+        part = np.random.default_rng(0).permuted(turns, axis=1).ravel()[pose]
+        for k in range(count):
+            its = np.flatnonzero(part == k)
+            some, seen = self.dataset.select_numbered(its), self.observations.select(its)
+            yield Scene.of(self.model, some, seen, self.free, within=self.within)
 
     @property
     def rows(self) -> int:

@@ -283,7 +283,7 @@ class Dataset:
         if not numbers:
             return self
         said = f"excluded {why}: sample {', '.join(map(str, sorted(numbers)))}"
-        kept = self._select_numbered(~np.isin(self.numbers, list(numbers)))
+        kept = self.select_numbered(~np.isin(self.numbers, list(numbers)))
         reasons = numbers if isinstance(numbers, Mapping) else dict.fromkeys(numbers, why)
         return dataclasses.replace(
             kept,
@@ -299,10 +299,10 @@ class Dataset:
         poses = np.unique(self.pose_id)
         count = max(1, most * len(poses) // len(self))
         chosen = poses[np.linspace(0, len(poses) - 1, count).astype(int)]
-        return self._select_numbered(np.isin(self.pose_id, chosen))
+        return self.select_numbered(np.isin(self.pose_id, chosen))
 
-    def _select_numbered(self, kept: Bools) -> Dataset:
-        """Return the samples of a mask (N,), with the numbers that they have now."""
+    def select_numbered(self, kept: ArrayLike) -> Dataset:
+        """Return samples as `select` does, with the numbers that they have now."""
         numbers = {NUMBER: self.numbers.astype(float)}
         named = dataclasses.replace(self, conditions={**self.conditions, **numbers})
         return named.select(kept)

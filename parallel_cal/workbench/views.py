@@ -15,6 +15,7 @@ from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose_fitted
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.signature import Signature, signature
+from parallel_cal.diagnosis.thresholds import MAX_DIAGNOSED_SAMPLES
 from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, summarise_parameters
 from parallel_cal.identification.fit_warnings import chi2_band
@@ -67,10 +68,6 @@ from parallel_cal.workbench.picture_views import (
 MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 400, 150
 # Samples from which a preliminary view of many is made: their numbers come in seconds.
 MAX_PRELIMINARY_SAMPLES = 2000
-# Samples that are diagnosed: a diagnosis of 10^5 takes a quarter of an hour. In 10^4 samples, a
-# pattern with 5 % of the noise stands out by 0.05 * sqrt(10^4) = 5 sigmas. What only more samples
-# could show changes the rms error by less than 0.2 %.
-MAX_DIAGNOSED_SAMPLES = 10_000
 NUMBERS_ONLY: View = {
     "effects": [],
     "ambiguous": {},

@@ -7,13 +7,14 @@ from itertools import combinations
 import numpy as np
 import pytest
 from datasets import measured, quiet
-from findings import clean
+from findings import clean, hiding
 from scipy import stats
+from virtual_findings import KINDS
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.effects import list_effects_to_test
-from parallel_cal.diagnosis import statistics
+from parallel_cal.diagnosis import catalogue, statistics
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
@@ -472,3 +473,24 @@ def test_effects_of_which_none_applies_are_an_error_as_with_add():
         list_effects_to_test(new_model("delta54"), only=["screw_pitch_error", "line_sag"])
     some = ["screw_pitch_error", "backlash"]  # the first one is listed with the reason
     assert list_effects_to_test(new_model("delta54"), only=some) == some
+
+
+def test_the_number_of_an_effect_is_searched_for_in_a_part_of_many_samples(monkeypatch):
+    """Its score is that of all of them."""
+    data, _ = hiding([KINDS["gear ripple"]], 1.0, seed=5)
+    scene, searched = fitted_scene(data), []
+    whole = candidate(scene, "gear_transmission_error")
+    choose = catalogue.choose_setting
+
+    def noted(part, *given):
+        searched.append(len(part.dataset))
+        return choose(part, *given)
+
+    monkeypatch.setattr(catalogue, "choose_setting", noted)
+    monkeypatch.setattr(catalogue, "MAX_DIAGNOSED_SAMPLES", 80)
+    monkeypatch.setattr("parallel_cal.posterior.scene.MIN_POSES_OF_PART", 40)
+    found = candidate(scene, "gear_transmission_error")
+    assert searched == pytest.approx([75], abs=5)
+    assert found.settings["ratio"] == pytest.approx(whole.settings["ratio"], rel=4e-3)
+    assert found.score.log_p == pytest.approx(whole.score.log_p, rel=0.1)
+    assert found.scene is scene

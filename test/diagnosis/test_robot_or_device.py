@@ -17,6 +17,7 @@ from findings import dataset, hiding, sized
 from twins import hexapod
 
 from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.diagnosis import addition
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.device import find_doubtful_effects
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -135,6 +136,16 @@ def test_an_effect_that_the_device_may_cause_is_added_only_with_force(refracted)
         add(new_model("delta54"), "encoder_eccentricity", refracted)
     step = add(new_model("delta54"), "encoder_eccentricity", refracted, force=True)
     assert "the measuring device may cause" in step.model.history[-1]["forced"]
+
+
+def test_a_doubt_about_the_device_says_with_how_many_of_many_samples_it_was_weighed(
+    refracted, monkeypatch
+):
+    monkeypatch.setattr(addition, "MAX_DIAGNOSED_SAMPLES", 80)
+    monkeypatch.setattr("parallel_cal.posterior.scene.MIN_POSES_OF_PART", 40)
+    words = r"the measuring device may cause.*\(weighed with 7\d of 150 samples, evenly spread"
+    with pytest.raises(FitError, match=words):
+        add(new_model("delta54"), "encoder_eccentricity", refracted)
 
 
 @pytest.mark.slow
