@@ -251,6 +251,20 @@ def test_an_update_writes_no_model_of_a_robot_that_did_not_drift(moved, said):
     assert acceptance(result).against.startswith(said)
 
 
+def test_an_effect_that_the_last_calibration_lacked_begins_an_update_as_unknown():
+    """It had no covariance, and the update ended with "no covariance of one"."""
+    today = session(30, np.random.default_rng(3))
+    today = replace(today, q=today.q / 1.003)
+    result = pc.fit(calibrated(), today, update=True, effects=["encoder_gain"])
+    table, sigma = result.model.table, np.sqrt(np.diag(result.model.covariance))
+    for joint in calibrated().joints:
+        at = table.index_of(f"encoder_gain.{joint}.gain")
+        assert abs(result.model.values[at] - 0.003) < 3 * sigma[at] < 2e-3
+        assert result.options.prior.covariance[at, at] >= table.prior_sigma[at] ** 2
+    # What was known of the robot stays known.
+    assert (sigma[:24] <= 1.25 * np.sqrt(np.diag(calibrated().covariance))).all()
+
+
 def test_samples_that_place_the_device_say_nothing_about_a_drift():
     """A zero of joint 2 that a device which stands where it stood would show."""
     moved = session(24, np.random.default_rng(5), zeros=(0.0, 1e-3, 0.0), shift=(0.2, -0.1, 0.05))
