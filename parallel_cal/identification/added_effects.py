@@ -17,7 +17,8 @@ from parallel_cal.recordings.dataset import Dataset
 
 
 def add_effects(model: Model, effects: Iterable[str], dataset: Dataset) -> Model:
-    """Return the model with more effects, each `NAME`, `NAME:parameter=value` or several by `+`.
+    """Return the model with more effects, each `NAME`, `NAME:parameter=value` or several by `+`;
+    what it knew of its own parameters stays known.
 
     ModelError for an unknown effect, or one that the model has. FitError for an effect with a
     parameter that must be stated: only `add` searches for it.
@@ -25,7 +26,7 @@ def add_effects(model: Model, effects: Iterable[str], dataset: Dataset) -> Model
     recorded = {**dataset.conditions, **dict(zip(dataset.joint_names, dataset.q.T, strict=True))}
     for name, settings in (one for text in effects for one in parse_effects(text)):
         had = {effect.name for effect in model.effects}
-        model = model.with_effect(name, settings)
+        model = model.with_effect(name, settings).with_covariance_of(model)
         own = [effect for effect in model.effects if effect.name == name and name not in had]
         for effect in own:  # none if the effect is a larger mechanism
             searched = {key for one in effect.scan(model.mechanism, recorded) for key in one}

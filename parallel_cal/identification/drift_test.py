@@ -25,8 +25,10 @@ a.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +52,7 @@ SCALES = np.array([1 / 3, 1.0, 3.0, 10.0, 30.0])  # usual drifts; a collision is
 ZERO, TEMPERATURE, PART, DEVICE = "zero", "temperature", "part", "measuring device"
 TARGET = "target of the device"  # of the kind DEVICE
 HOMING, EVERYTHING = "zeros and temperature", "all parts"
-ODDS_OF_BOTH = 0.03  # that robot and device changed, against the device alone
+MIN_PROBABILITY = 1e-9  # of a case that counts
 
 
 class Part(NamedTuple):
@@ -66,8 +68,9 @@ class Part(NamedTuple):
 class Change:
     """What may have changed: its name, the `kind` of change, and the usual size F (n, k), in units
     of the columns: these change by F z, z ~ N(0, 1). `parts` are the k numbers that z scales.
-    `device` names what of the measuring device moved; with it, the robot may have changed, too: the
-    kind is then that of the robot's change. The `title` is the name in words."""
+    `device` names what of the measuring device moved. If the robot changed, too, that of the device
+    is `beside`, by a size of its own, and its parts are the last ones. The `title` is the name in
+    words."""
 
     name: str
     kind: str
@@ -75,6 +78,7 @@ class Change:
     parts: tuple[Part, ...] = ()
     device: str = ""
     title: str = ""
+    beside: Change | None = None
 
     @property
     def is_of_robot(self) -> bool:
@@ -82,17 +86,27 @@ class Change:
 
     @property
     def is_of_both(self) -> bool:
-        return self.is_of_robot and bool(self.device)
+        return self.beside is not None
+
+    def expand(self, scale: float, beside: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns (n, k) of its parts, if it is `scale` usual ones, and that of a device
+        `beside` ones; and how many usual ones each part is (k,)."""
+        scales = np.full(self.factor.shape[1], scale)
+        if self.beside is None:
+            return scale * self.factor, scales
+        F = np.hstack([scale * self.factor, beside * self.beside.factor])
+        return F, np.append(scales, np.full(self.beside.factor.shape[1], beside))
 
     def with_device(self, other: Change) -> Change:
         """This change of the robot and that of a device at once."""
         return Change(
             f"{other.name} and {self.name}",
             self.kind,
-            np.hstack([self.factor, other.factor]),
+            self.factor,
             (*self.parts, *other.parts),
             other.device,
             f"{other.title} and {self.title}",
+            other,
         )
 
 
@@ -277,52 +291,109 @@ class DriftTest:
 
     def log_factors(self, A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log Bayes factors against none, by information A (n, n) and pulls b (n, D) in the stated
-        noise: of the changes by the `SCALES` (D, H, 5), and of the single ones (D, E)."""
+        noise: of the changes by the `SCALES` of a device beside them, and by their own
+        (D, H, 5, 5); and of the single ones (D, E)."""
         M, u = _integrate_out(self.C0, A / self.variance, b / self.variance)
-        found = np.empty((u.shape[1], len(self.changes), len(SCALES)))
-        for k, change in enumerate(self.changes):
-            size, Q = np.linalg.eigh(change.factor.T @ M @ change.factor)
-            z = (Q.T @ (change.factor.T @ u))[:, :, None] ** 2
-            spread = 1 + SCALES**2 * np.maximum(size, 0.0)[:, None, None]
-            found[:, k] = (SCALES**2 * z / spread - np.log(spread)).sum(axis=0) / 2
-        pull = self.singles.T @ u
-        squares = np.sum(self.singles * (M @ self.singles), axis=0)
+        alone = [k for k, one in enumerate(self.changes) if not one.is_of_both]
+        found = np.full((u.shape[1], len(self.changes), len(SCALES), len(SCALES)), -np.inf)
+        found[:, alone, 0] = _weigh([self.changes[k].factor for k in alone], M, u)
+        for d in alone:
+            device = self.changes[d]
+            both = [k for k, one in enumerate(self.changes) if one.beside is device]
+            for t, scale in enumerate(SCALES if both else ()):
+                beside = _integrate_out(scale**2 * device.factor @ device.factor.T, M, u)
+                added = _weigh([self.changes[k].factor for k in both], *beside)
+                found[:, both, t] = found[:, d, 0, t, None, None] + added
+        pull, squares = self.singles.T @ u, np.sum(self.singles * (M @ self.singles), axis=0)
         return found, (np.logaddexp(pull, -pull) - np.log(2) - squares[:, None] / 2).T
 
-    def estimate(self, k: int, scale: float, A: np.ndarray, b: np.ndarray) -> tuple[Moved, ...]:
+    def look(self, samples: int, A: np.ndarray, b: np.ndarray) -> Look:
+        """Return what some `samples` show, by their information A (n, n) and pull b (n,)."""
+        logs, singles = self.log_factors(A, b[:, None])
+        [unchanged], [changed] = probabilities(logs + self.log_prior)
+        k = int(np.argmax(singles[0])) if self.names else None
+        rival = ("", -np.inf) if k is None else (self.names[k], float(singles[0, k]))
+        return Look(samples, float(unchanged), changed, rival)
+
+    def list_cases(self, look: Look) -> Iterator[Case]:
+        """Iterate over the sizes of each change that have a probability."""
+        for k, t, s in np.argwhere(look.changed > MIN_PROBABILITY).tolist():
+            columns, scales = self.changes[k].expand(SCALES[s], SCALES[t])
+            yield Case(k, float(look.changed[k, t, s]), columns, scales)
+
+    def estimate(self, cases: Sequence[Case], A: np.ndarray, b: np.ndarray) -> tuple[Moved, ...]:
         """Estimate the parts of a change by information A (n, n) and pull b (n,) in the stated
-        noise, if it is `scale` times as large as usual; the most significant first."""
+        noise, over all its sizes (law of total variance); the most significant first."""
         M, u = _integrate_out(self.C0, A / self.variance, b[:, None] / self.variance)
-        F, parts = self.changes[k].factor, self.changes[k].parts
-        C = np.linalg.inv(F.T @ M @ F + np.eye(F.shape[1]) / scale**2)
-        z, sigma = C @ (F.T @ u[:, 0]), np.sqrt(np.diag(C))
+        parts, total = self.changes[cases[0].change].parts, sum(one.probability for one in cases)
+        mean, squares = np.zeros((2, len(parts)))
+        for one in cases:
+            F, share = one.columns, one.probability / total
+            C = np.linalg.inv(F.T @ M @ F + np.eye(len(parts)))
+            z = one.scales * (C @ (F.T @ u[:, 0]))
+            mean += share * z
+            squares += share * (z**2 + one.scales**2 * np.diag(C))
+        sigma = np.sqrt(squares - mean**2)
         sizes = np.array([one.size for one in parts])
-        order = np.argsort(-np.abs(z) / sigma).tolist()
-        values, sigmas = (sizes * z).tolist(), (np.abs(sizes) * sigma).tolist()
+        order = np.argsort(-np.abs(mean) / sigma).tolist()
+        values, sigmas = (sizes * mean).tolist(), (np.abs(sizes) * sigma).tolist()
         return tuple(Moved(parts[i].title, values[i], sigmas[i], parts[i].unit) for i in order)
 
     @property
     def log_prior(self) -> np.ndarray:
-        """Log prior odds (H, 1) of each change, by each of the `SCALES`, against none: something
-        has changed as probably as nothing; kinds, and changes of a kind, are equally probable. That
-        robot and device have changed is as probable as the device alone times `ODDS_OF_BOTH`."""
-        groups = [(one.is_of_both, one.kind, one.is_of_both and one.device) for one in self.changes]
-        kinds = len({one for one in groups if not one[0]})
-        both = (len(set(groups)) - kinds) / ODDS_OF_BOTH
-        share = [kinds * (both if one[0] else 1) * groups.count(one) for one in groups]
-        return -np.log(np.array(share, float) * len(SCALES))[:, None]
+        """Log prior odds (H, 1, 1) of each change, by each of the `SCALES`, against none: something
+        has changed as probably as nothing; kinds, and changes of a kind, are equally probable.
+        Robot and device change independently of each other."""
+        members = Counter(one.kind for one in self.changes if not one.is_of_both)
+        one_of = {kind: len(members) * count * len(SCALES) for kind, count in members.items()}
+        both = np.array([one.is_of_both for one in self.changes])
+        share = np.array([one_of[one.kind] for one in self.changes], float)
+        odds = 1 / np.where(both, share * one_of.get(DEVICE, 1), share)
+        # Those of the changes alone add up to 1: the factor f with f + f^2 sum(both) = 1.
+        factor = 2 / (1 + np.sqrt(1 + 4 * len(SCALES) ** 2 * odds[both].sum()))
+        return np.log(odds * np.where(both, factor**2, factor))[:, None, None]
 
 
 @dataclass(frozen=True)
 class Look:
     """The probabilities after some `samples`: that nothing has changed, and of each change by each
-    of the `SCALES` (H, 5). Together they are 1. The `rival` of "nothing" is the single change that
-    the samples exclude least, of those that just count, with its log Bayes factor against it."""
+    of the `SCALES` of a device beside it, and of its own (H, 5, 5). Together they are 1. The
+    `rival` of "nothing" is the single change that the samples exclude least, of those that just
+    count, with its log Bayes factor against it."""
 
     samples: int
     unchanged: float
     changed: np.ndarray
     rival: tuple[str, float]
+
+    @cached_property
+    def by_change(self) -> np.ndarray:
+        """The probability (H,) of each change."""
+        return np.asarray(self.changed.sum(axis=(1, 2)))
+
+
+class Case(NamedTuple):
+    """A change (its number) of one size, with its probability, the columns (n, k) of its parts, and
+    how many usual changes each part is (k,)."""
+
+    change: int
+    probability: float
+    columns: np.ndarray
+    scales: np.ndarray
+
+
+def _weigh(factors: Sequence[np.ndarray], M: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Log Bayes factors (D, h, 5) of changes with some factors (n, k) against none, by each of the
+    `SCALES`, by information M (n, n) and pulls u (n, D) about changes."""
+    found = np.empty((u.shape[1], len(factors), len(SCALES)))
+    for width in {F.shape[1] for F in factors}:
+        same = [k for k, F in enumerate(factors) if F.shape[1] == width]
+        F = np.stack([factors[k] for k in same])
+        size, Q = np.linalg.eigh(F.swapaxes(1, 2) @ M @ F)
+        z = ((F @ Q).swapaxes(1, 2) @ u)[..., None] ** 2
+        spread = 1 + SCALES**2 * np.maximum(size, 0.0)[..., None, None]
+        found[:, same] = (SCALES**2 * z / spread - np.log(spread)).sum(axis=1).swapaxes(0, 1) / 2
+    return found
 
 
 def _integrate_out(C0: np.ndarray, A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -333,9 +404,9 @@ def _integrate_out(C0: np.ndarray, A: np.ndarray, b: np.ndarray) -> tuple[np.nda
 
 
 def probabilities(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the probability (D,) that nothing has changed, and those of the changes (D, H, 5), by
-    their log posterior odds against it."""
-    highest = np.maximum(logs.max(axis=(1, 2)), 0.0)
-    changed, unchanged = np.exp(logs - highest[:, None, None]), np.exp(-highest)
-    total = changed.sum(axis=(1, 2)) + unchanged
-    return unchanged / total, changed / total[:, None, None]
+    """Return the probability (D,) that nothing has changed, and those of the changes (D, H, 5, 5),
+    by their log posterior odds against it."""
+    highest = np.maximum(logs.max(axis=(1, 2, 3)), 0.0)
+    changed, unchanged = np.exp(logs - highest[:, None, None, None]), np.exp(-highest)
+    total = changed.sum(axis=(1, 2, 3)) + unchanged
+    return unchanged / total, changed / total[:, None, None, None]

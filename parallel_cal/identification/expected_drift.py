@@ -1,13 +1,13 @@
 """What samples let expect of a robot that may have drifted: its parameters, and further samples.
 
-Each hypothesis of `drift_test` has a posterior N(m, C) of the parameters; its probability is w. The
-squared error that a model with the parameters p makes at samples like those of the calibration, of
-information T each, is expected to be
+Each hypothesis of `drift_test` has a posterior N(m, C) of the parameters' change d; its probability
+is w. At samples like those of the calibration, of information T each, a model that is changed by u
+has the squared error (d - u)' T (d - u). It is larger than that of the last model, d' T d, where
+u' T d < u' T u / 2. So an update by u makes the robot worse with the probability
 
-    sum w [tr(T C) + (m - p)' T (m - p)] = const + (m_all - p)' T (m_all - p),
+    sum w Phi((u' T u / 2 - u' T m) / sqrt(u' T C T u)),
 
-with the mean m_all of all m. So an update to p is better than the old parameters where p is nearer
-to m_all; a displaced device counts as a hypothesis in which the robot is as it was.
+in which a displaced device counts as a hypothesis in which the robot is as it was.
 
 Whether more samples would tell a drift of the robot from a displaced device is simulated: the
 parameters are drawn from these posteriors, the information and the pull of more samples like these
@@ -17,16 +17,40 @@ follow, and the same test decides.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
-from parallel_cal.identification.drift_test import SCALES, DriftTest, Look, probabilities
+from parallel_cal.identification.drift_test import DriftTest, Look, probabilities
 from parallel_cal.model.model import Model
 
 DRAWS = 100  # changes that the samples allow
-MIN_WEIGHT = 1e-9  # of a hypothesis that counts
 REPEATS = 1.25 ** np.arange(1, 22)  # times as many samples, to a hundred times
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """What the samples let expect by each hypothesis: those of a test with their probabilities, the
+    information A (n, n) and the pull b (n,) of all samples. The first columns are the parameters of
+    the model that are `free`, in their `tolerance`."""
+
+    test: DriftTest
+    look: Look
+    A: np.ndarray
+    b: np.ndarray
+    free: np.ndarray
+    tolerance: np.ndarray
+
+    def __iter__(self) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+        """Iterate over the probabilities, the means (n,) and the covariances (n, n) by each."""
+        cases = self.test.list_cases(self.look)
+        drifts = ((one.probability, one.columns @ one.columns.T) for one in cases)
+        none = (self.look.unchanged, np.zeros_like(self.A))
+        for probability, drift in chain([none], drifts):
+            C = _narrow(self.test.C0 + drift, self.A)
+            yield probability, C @ self.b, C
 
 
 @dataclass(frozen=True)
@@ -41,30 +65,34 @@ class ExpectedDrift:
         The rms error that the uncertainty of an updated model would cause at samples like those of
         the calibration, in units of that of the last calibration. That only the device moved is
         left aside.
-    mean : array (n_parameters,)
-        The change of the parameters, SI; the device may have moved.
-    metric : array (n_parameters, n_parameters)
-        Squares, in the same units, of the error that a change of the parameters causes.
     kept : float
         The rms error of the last calibration's model today, in the same units.
     more_samples : int, optional
         How many further samples like these would tell a drift of the robot from a displacement of
         the device, in half of the cases; None if these do, or if a hundred times as many would
         not.
+    hypotheses : Hypotheses
     """
 
     covariance: np.ndarray = field(repr=False)
     growth: float
-    mean: np.ndarray = field(repr=False)
-    metric: np.ndarray = field(repr=False)
     kept: float
     more_samples: int | None
+    hypotheses: Hypotheses = field(repr=False)
 
-    def predict_error(self, change: np.ndarray) -> float:
-        """Predict the rms error of the last model with its parameters changed by (n_parameters,),
-        SI, at samples like those of the calibration, in units of its uncertainty then."""
-        along = self.metric @ change
-        return float(np.sqrt(max(self.kept**2 + along @ (change - 2 * self.mean), 0.0)))
+    def predict_harm(self, change: np.ndarray) -> float:
+        """Predict the probability that the last model with its parameters changed by
+        (n_parameters,), SI, has a larger error today than without, at samples like those of the
+        calibration. Those of a device that a fit placed may follow."""
+        known = self.hypotheses
+        u = change[: len(known.free)][known.free] / known.tolerance
+        n, harm = len(u), 0.0
+        along = known.test.typical[:n, :n] @ u
+        for probability, mean, covariance in known:
+            sigma = math.sqrt(max(along @ covariance[:n, :n] @ along, 1e-300))
+            away = (along @ u / 2 - along @ mean[:n]) / sigma
+            harm += probability * math.erfc(-away / 2**0.5) / 2
+        return harm
 
 
 def expect_drift(
@@ -75,49 +103,28 @@ def expect_drift(
     free = ~np.asarray(model.fixed)
     n = int(free.sum())
     own = np.array([one.is_of_robot for one in test.changes])
-    share = np.where(own[:, None], look.changed, 0.0)
-    robot = max(float(share.sum()), 1e-300)
+    robot = max(float(look.by_change[own].sum()), 1e-300)
     # If only the device had moved, a fit of the robot would not tell; so it is taken to stand.
-    weights = (share / (robot + look.unchanged)) @ SCALES**2
-    pairs = zip(test.changes, weights, strict=True)
-    scaled = np.asarray(sum(w * one.factor @ one.factor.T for one, w in pairs))
+    scaled = np.zeros_like(test.C0)
+    for one in test.list_cases(look):
+        if own[one.change]:
+            share = one.probability / (robot + look.unchanged)
+            scaled += share * one.columns @ one.columns.T
     typical = test.typical[:n, :n]
     unit = float(np.vdot(typical, test.C0[:n, :n]))
     today = _narrow(test.C0 + scaled, A)[:n, :n]
-    mean, squares = _average(test, look, A, b)
     tolerance = model.table.tolerance[free]
-    drift, metric = np.zeros((2, len(model.table), len(model.table)))
+    hypotheses = Hypotheses(test, look, A, b, free, tolerance)
+    squares = sum(p * (C + np.outer(m, m))[:n, :n] for p, m, C in hypotheses)
+    drift = np.zeros((len(model.table), len(model.table)))
     drift[np.ix_(free, free)] = scaled[:n, :n] * np.outer(tolerance, tolerance)
-    metric[np.ix_(free, free)] = typical / np.outer(tolerance, tolerance) / unit
-    change = np.zeros(len(model.table))
-    change[free] = tolerance * mean[:n]
-    kept = float(np.sqrt(np.vdot(typical, squares[:n, :n]) / unit))
+    kept = float(np.sqrt(np.vdot(typical, squares) / unit))
     growth = float(np.sqrt(np.vdot(typical, today) / unit))
-    displaced = float(look.changed[~own].sum())
+    displaced = float(look.by_change[[bool(one.device) for one in test.changes]].sum())
     more = None
-    if max(robot, displaced) < certainty <= robot + displaced:
+    if max(robot, displaced) < certainty <= 1 - look.unchanged:
         more = _count_telling(test, look, A, b, certainty)
-    return ExpectedDrift(drift, growth, change, metric, kept, more)
-
-
-def _average(
-    test: DriftTest, look: Look, A: np.ndarray, b: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The mean (n,) and the second moment (n, n) of the parameters over all hypotheses."""
-    n = len(b)
-    mean, squares = np.zeros(n), np.zeros((n, n))
-    cases = [(look.unchanged, test.C0)]
-    for one, row in zip(test.changes, look.changed, strict=True):
-        spread = one.factor @ one.factor.T
-        cases += [(w, test.C0 + s**2 * spread) for w, s in zip(row.tolist(), SCALES, strict=True)]
-    for weight, prior in cases:
-        if weight < MIN_WEIGHT:
-            continue
-        C = _narrow(prior, A)
-        m = C @ b
-        mean += weight * m
-        squares += weight * (C + np.outer(m, m))
-    return mean, squares
+    return ExpectedDrift(drift, growth, kept, more, hypotheses)
 
 
 def _count_telling(
@@ -127,12 +134,12 @@ def _count_telling(
     the device moved, in half of the changes that the samples allow."""
     rng, n = np.random.default_rng(0), len(b)
     own = np.array([one.is_of_robot for one in test.changes])
-    weights = look.changed.ravel() / look.changed.sum()
+    moved = np.array([bool(one.device) for one in test.changes])
+    cases = list(test.list_cases(look))
+    weights = np.array([one.probability for one in cases])
     drawn = np.empty((n, DRAWS))
-    for k, case in enumerate(rng.choice(len(weights), DRAWS, p=weights).tolist()):
-        h, s = divmod(case, len(SCALES))
-        prior = test.C0 + SCALES[s] ** 2 * test.changes[h].factor @ test.changes[h].factor.T
-        C = _narrow(prior, A)
+    for k, case in enumerate(rng.choice(len(cases), DRAWS, p=weights / weights.sum()).tolist()):
+        C = _narrow(test.C0 + cases[case].columns @ cases[case].columns.T, A)
         drawn[:, k] = C @ b + _root(C) @ rng.standard_normal(n)
     noise = _root(A) @ rng.standard_normal((n, DRAWS))
     for times in REPEATS.tolist():
@@ -140,7 +147,7 @@ def _count_telling(
         known = test.variance * np.column_stack([times * A, b[:, None] + new])
         logs, _ = test.log_factors(known[:, :n], known[:, n:])
         _, changed = probabilities(logs + test.log_prior)
-        told = [changed[:, part].sum(axis=(1, 2)) >= certainty for part in (own, ~own)]
+        told = [changed[:, part].sum(axis=(1, 2, 3)) >= certainty for part in (own, moved)]
         if np.mean(np.any(told, axis=0)) >= 0.5:
             return math.ceil((times - 1) * look.samples)
     return None

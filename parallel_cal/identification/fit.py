@@ -615,7 +615,7 @@ class Prepared:
                 "without --update"
             )
         drift, options, dataset = weigh_drift(start, dataset, options, registration is not None)
-        if drift is not None and drift.has_device_moved:
+        if drift is not None and drift.places_device:
             # With the device where it stood, the robot, and effects, would imitate its move.
             seen = observe(given.start, dataset, options.joint_sigma, options.insist)
             start = add_effects(registered_by(given.start, seen) or given.start, effects, dataset)

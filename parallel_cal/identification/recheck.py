@@ -22,7 +22,6 @@ from parallel_cal.identification.drift_test import (
     DriftTest,
     Look,
     Moved,
-    probabilities,
 )
 from parallel_cal.identification.expected_drift import ExpectedDrift, expect_drift
 from parallel_cal.identification.observations import Observations, observe
@@ -86,7 +85,7 @@ class Recheck:
     possible: tuple[PossibleChange, ...] = ()
 
     def _outcomes(self, look: Look) -> dict[str, float]:
-        by_change = look.changed.sum(axis=1)
+        by_change = look.by_change
         of_robot = np.array([one.is_of_robot for one in self.changes])
         return {
             DRIFTED: float(by_change[of_robot].sum()),
@@ -95,11 +94,18 @@ class Recheck:
         }
 
     def _decide(self, look: Look) -> str:
-        likely = {name: p for name, p in self._outcomes(look).items() if p >= self.certainty}
-        if 1 - look.unchanged >= self.certainty:
-            return next(iter(likely), CHANGED)
-        is_excluded = look.rival[1] <= math.log(1 / self.certainty - 1)
-        return UNCHANGED if is_excluded else UNDECIDED
+        if 1 - look.unchanged < self.certainty:
+            is_excluded = look.rival[1] <= math.log(1 / self.certainty - 1)
+            return UNCHANGED if is_excluded else UNDECIDED
+        drifted = self._outcomes(look)[DRIFTED]
+        if drifted >= self.certainty:
+            return DRIFTED
+        is_shown = self._sum_devices(look) >= self.certainty and drifted <= 0.5
+        return DEVICE_MOVED if is_shown else CHANGED
+
+    def _sum_devices(self, look: Look) -> float:
+        """The probability that the device or its target moved."""
+        return float(look.by_change[[bool(one.device) for one in self.changes]].sum())
 
     @cached_property
     def outcomes(self) -> dict[str, float]:
@@ -127,21 +133,22 @@ class Recheck:
         return self.verdict not in (CHANGED, UNDECIDED)
 
     @property
-    def is_robot_unchanged(self) -> bool:
-        """Whether it is decided that the robot is as it was, whatever happened to the device."""
+    def needs_no_update(self) -> bool:
+        """Whether it is decided that nothing has changed, or that the device moved, and no drift of
+        the robot shows beside that."""
         return self.verdict in (UNCHANGED, DEVICE_MOVED)
 
     @property
-    def has_device_moved(self) -> bool:
-        """Whether it is decided that the measuring device moved, with a drift of the robot or
-        without, and not surely its target."""
-        return self._has_moved and self._moved_device != TARGET
+    def places_device(self) -> bool:
+        """Whether a fit has to place the measuring device: it is likelier that it moved than that
+        it stands, and it is not surely its target."""
+        return self._sum_devices(self.looks[-1]) > 0.5 and self._moved_device != TARGET
 
     @cached_property
     def _by_device(self) -> dict[str, float]:
         """The probability that the device moved, and that its target did, alone or with a drift of
         the robot; the likeliest first."""
-        by_change, found = self.looks[-1].changed.sum(axis=1).tolist(), dict[str, float]()
+        by_change, found = self.looks[-1].by_change.tolist(), dict[str, float]()
         for one, share in zip(self.changes, by_change, strict=True):
             if one.device:
                 found[one.device] = found.get(one.device, 0.0) + share
@@ -150,12 +157,12 @@ class Recheck:
     @property
     def _has_moved(self) -> bool:
         """Whether it is decided that the device or its target moved."""
-        return sum(self._by_device.values()) >= self.certainty
+        return self._sum_devices(self.looks[-1]) >= self.certainty
 
     @cached_property
     def parts(self) -> dict[str, float]:
         """The probability of each change, if something has changed; the likeliest first."""
-        share = self.looks[-1].changed.sum(axis=1)
+        share = self.looks[-1].by_change
         share = share / max(share.sum(), 1e-300)
         found = zip((one.name for one in self.changes), share.tolist(), strict=True)
         return dict(sorted(found, key=lambda item: -item[1]))
@@ -164,7 +171,12 @@ class Recheck:
     def scale(self) -> float:
         """The likeliest size of a drift of the robot, in usual drifts."""
         alone = np.array([one.is_of_robot and not one.is_of_both for one in self.changes])
-        return float(SCALES[np.argmax(self.looks[-1].changed[alone].sum(axis=0))])
+        return float(SCALES[np.argmax(self.looks[-1].changed[alone].sum(axis=(0, 1)))])
+
+    @property
+    def _titles(self) -> dict[str, str]:
+        """The changes in words, by their names."""
+        return {one.name: one.title for one in self.changes}
 
     @property
     def progress(self) -> str:
@@ -172,8 +184,7 @@ class Recheck:
         words = f"that something has changed: {1 - self.outcomes[UNCHANGED]:.1%}"
         if self.verdict == UNDECIDED:
             rival = self.looks[-1].rival[0]
-            titles = {one.name: one.title for one in self.changes}
-            words += f", least excluded: {titles.get(rival, rival)}"
+            words += f", least excluded: {self._titles.get(rival, rival)}"
         return words
 
     @property
@@ -194,11 +205,11 @@ class Recheck:
 
     @property
     def forbids_update(self) -> bool:
-        """Whether it is decided that the robot is as it was; or that the device moved while a drift
-        is not decided, or that its target did, which a fit does not place."""
+        """Whether no update is needed; or the device moved while a drift is not decided, or its
+        target did, which a fit does not place."""
         if self._has_moved:
-            return self.verdict != DRIFTED or not self.has_device_moved
-        return self.is_robot_unchanged
+            return self.verdict != DRIFTED or not self.places_device
+        return self.needs_no_update
 
     @property
     def cure(self) -> str:
@@ -219,34 +230,30 @@ class Recheck:
         """What has changed, and what to do."""
         if self.verdict == UNCHANGED:
             return ("the samples show no drift since the last calibration",)
-        if self.verdict == DEVICE_MOVED:
-            return (
-                f"the {self._moved_device} moved since the last calibration, not the robot: "
-                f"{self._cure_of_device}",
-            )
         if self.verdict == UNDECIDED:
             return (
                 "the samples do not decide whether the robot has drifted since the last "
                 f"calibration ({self.progress}): measure more of the planned poses, and fit them "
                 "together with these",
             )
-        titles = {one.name: one.title for one in self.changes if one.is_of_robot}
-        name, share = next(one for one in self.parts.items() if one[0] in titles)
-        likeliest = f"likeliest: {titles[name]}, {format_percent(share)}"
+        of_robot = {one.name for one in self.changes if one.is_of_robot}
+        name, share = next(one for one in self.parts.items() if one[0] in of_robot)
+        likeliest = f"likeliest: {self._titles[name]}, {format_percent(share)}"
         if self._has_moved:
             may = "drifted, too" if self.verdict == DRIFTED else "may have drifted, too"
             drifted = f"the robot {may} ({format_percent(self.outcomes[DRIFTED])}; {likeliest})"
             return (
-                f"since the last calibration the {self._moved_device} moved, and {drifted}: "
+                f"the {self._moved_device} moved since the last calibration, and {drifted}: "
                 f"{self._cure_of_device}",
             )
         size = f"about {self.scale:.2g} times as far as usual ({likeliest})"
         words = f"since the last calibration the robot drifted {size}"
         if self.verdict == CHANGED:
-            robot, device = (format_percent(self.outcomes[one]) for one in (DRIFTED, DEVICE_MOVED))
+            robot = format_percent(self.outcomes[DRIFTED])
+            device = format_percent(self._sum_devices(self.looks[-1]))
             words = (
-                f"either the robot drifted ({robot}), {size}, or the measuring device moved "
-                f"({device}); the samples do not tell which. Measure a fixed target as at the "
+                f"the robot drifted ({robot}), {size}, or the measuring device moved ({device}), "
+                "or both: the samples do not tell. Measure a fixed target as at the "
                 "calibration: if it is where it was, the device stands, and the robot drifted. "
                 f"{self._describe_further_samples()}"
             )
@@ -358,23 +365,18 @@ def weigh_changes(
     ends = np.unique(np.linspace(0, n, min(n, MAX_LOOKS) + 1).round().astype(int))
     for begin, end in pairwise(ends.tolist()):
         A, b = (old + new for old, new in zip((A, b), columns.sum(begin, end), strict=True))
-        logs, singles = test.log_factors(A, b[:, None])
-        [unchanged], [changed] = probabilities(logs + test.log_prior)
-        k = int(np.argmax(singles[0])) if test.names else None
-        rival = ("", -np.inf) if k is None else (test.names[k], float(singles[0, k]))
-        looks.append(Look(end, float(unchanged), changed, rival))
+        looks.append(test.look(end, A, b))
     information, pull = A / test.variance, b / test.variance
     expected = expect_drift(model, test, looks[-1], information, pull, certainty)
-    share = looks[-1].changed.sum(axis=1)
+    share, cases = looks[-1].by_change, list(test.list_cases(looks[-1]))
     order = np.argsort(-share, kind="stable").tolist()
     count = int(np.searchsorted(np.cumsum(share[order]), certainty * share.sum())) + 1
-    likeliest = SCALES[looks[-1].changed.argmax(axis=1)]
     possible = tuple(
         PossibleChange(
             test.changes[k].name,
             test.changes[k].title,
             float(share[k] / max(share.sum(), 1e-300)),
-            test.estimate(k, likeliest[k], A, b),
+            test.estimate([one for one in cases if one.change == k], A, b),
         )
         for k in order[:count]
     )
@@ -392,6 +394,6 @@ def drift_prior(model: Model, found: Recheck) -> Prior:
     let expect, unless they decide that the robot is as it was. Raises FitError for a model without
     a covariance."""
     last = update_prior(model, 0.0)
-    if found.expected is None or found.is_robot_unchanged:
+    if found.expected is None or found.needs_no_update:
         return last
     return Prior(last.names, last.mean, last.covariance + found.expected.covariance)

@@ -142,7 +142,8 @@ def _express_joint_shifts(model: Model) -> np.ndarray:
 
 def update_prior(model: Model, scale: float = 1.0) -> Prior:
     """Return the knowledge of today: the last calibration, widened by `scale` times the usual
-    drift. Parts of a measuring set-up stand somewhere else every day: only their tolerance counts.
+    drift. Parts of a measuring set-up stand somewhere else every day, and an effect may be new: of
+    these only what is known before any data counts.
 
     Raises
     ------
@@ -156,10 +157,11 @@ def update_prior(model: Model, scale: float = 1.0) -> Prior:
         )
     table = model.table
     last = Prior.from_model(model).covariance
-    sensor = ~list_robot_parameters(model)
-    last[sensor] = 0.0
-    last[:, sensor] = 0.0
-    last[sensor, sensor] = table.tolerance[sensor] ** 2
+    never_fitted = np.array([p.group == "effect" for p in table]) & ~model.covariance.any(axis=1)
+    unknown = ~list_robot_parameters(model) | never_fitted
+    last[unknown] = 0.0
+    last[:, unknown] = 0.0
+    last[unknown, unknown] = table.prior_sigma[unknown] ** 2
     return Prior(table.names, model.values, last + scale**2 * usual_drift(model))
 
 

@@ -167,8 +167,8 @@ def fitted(
         judged = replace(judged, against="")
     has_prior = how.prior or how.update or result.given.fits_of_these_samples
     may_help = judged.judged and not (has_prior or result.implausible or result.outliers)
-    is_as_it_was = result.drift is not None and result.drift.is_robot_unchanged
-    found = _check_proven(judged, force or is_as_it_was, PRIORS if may_help else "")
+    needs_none = result.drift is not None and result.drift.needs_no_update
+    found = _check_proven(judged, force or needs_none, PRIORS if may_help else "")
     return _step("fit", result, found, effect=added or None)
 
 

@@ -74,7 +74,7 @@ def test_a_change_of_robot_or_device_writes_no_model(tmp_path):
     samples = np.arange(3)
     zero = Change("zero of joint1", "zero", np.eye(1), title="zero of joint1")
     moved = Change(DEVICE, DEVICE, np.eye(1), device=DEVICE, title=DEVICE)
-    looks = [Look(k + 1, 1e-6, np.full((2, 5), 0.1), ("zero of joint1", 9.0)) for k in samples]
+    looks = [Look(k + 1, 1e-6, np.full((2, 1, 5), 0.1), ("zero of joint1", 9.0)) for k in samples]
     found = Recheck(tuple(looks), (zero, moved))
     assert (found.verdict, found.decision, needs_more(found)) == ("changed", (3, "changed"), True)
     assert "or the measuring device moved (50 %)" in found.warnings[0]

@@ -320,6 +320,20 @@ MUTANTS = (
     ),
     Mutant(
         "identification/acceptance.py",
+        "    if harm <= MAX_HARM:",
+        "    if True:",
+        "an update that may make the robot worse is written",
+        "test_recheck.py",
+    ),
+    Mutant(
+        "identification/acceptance.py",
+        "    if chi2 <= usual * chi2_band(new.estimate.dof)[1]:",
+        "    if True:",
+        "a knocked sample is taken for a drift",
+        "test_recheck.py",
+    ),
+    Mutant(
+        "identification/acceptance.py",
         "clearly = rise > 0 or fall.mean() > uncertainty",
         "clearly = True",
         "a fall of the error within its uncertainty is accepted",

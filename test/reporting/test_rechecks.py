@@ -17,7 +17,7 @@ def found(*shares, rival=5.0):
     """A recheck of three samples, with the probabilities of its changes after each."""
     looks = []
     for k, one in enumerate(shares):
-        changed = [[p / 5] * 5 for p in one]
+        changed = [[[p / 5] * 5] for p in one]
         looks.append(Look(k + 1, 1 - sum(one), np.array(changed), ("", rival)))
     return Recheck(tuple(looks), CHANGES)
 

@@ -365,7 +365,7 @@ def test_two_arms_that_hold_one_another_are_a_chain_with_more_drives_than_motion
 def test_a_drift_is_accepted_by_its_evidence_and_the_set_up_is_placed_alike():
     """Ten touches hold too few poses out to prove a fall; sockets that nobody visited are no
     error."""
-    model, before, today, *_ = drifted_delta(0)
+    model, before, today, *_ = drifted_delta(2)
     last = pc.fit(model, before, hold_out=0.0).model
     update = pc.fit(last, today, update=True)
     assert update.drift.is_shown
