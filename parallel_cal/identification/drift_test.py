@@ -52,7 +52,7 @@ SCALES = np.array([1 / 3, 1.0, 3.0, 10.0, 30.0])  # usual drifts; a collision is
 ZERO, TEMPERATURE, PART, DEVICE = "zero", "temperature", "part", "measuring device"
 TARGET = "target of the device"  # of the kind DEVICE
 HOMING, EVERYTHING = "zeros and temperature", "all parts"
-MIN_PROBABILITY = 1e-9  # of a case that counts
+MIN_PROBABILITY = 1e-9  # of a case that counts, beside that of the likeliest change
 
 
 class Part(NamedTuple):
@@ -317,7 +317,8 @@ class DriftTest:
 
     def list_cases(self, look: Look) -> Iterator[Case]:
         """Iterate over the sizes of each change that have a probability."""
-        for k, t, s in np.argwhere(look.changed > MIN_PROBABILITY).tolist():
+        least = MIN_PROBABILITY * look.changed.max()
+        for k, t, s in np.argwhere(look.changed > least).tolist():
             columns, scales = self.changes[k].expand(SCALES[s], SCALES[t])
             yield Case(k, float(look.changed[k, t, s]), columns, scales)
 
