@@ -303,9 +303,14 @@ def _text(
         values = np.hstack([values, np.sqrt(variances)])
     names, values = [*names, *more, "residual", "status"], np.column_stack([values, *more.values()])
     taken = {part for word in table.header for part in (word, split_unit(word)[0])}
+    added = list[str]()
+    for name in names:
+        while name in taken:
+            name = f"solved.{name}"
+        added.append(name)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*table.header, *(f"solved.{n}" if n in taken else n for n in names)])
+    writer.writerow([*table.header, *added])
     width = len(table.header)
     for cells, row, residual, status in zip(
         table.rows, values.tolist(), found.residual.tolist(), found.status, strict=True

@@ -758,6 +758,12 @@ def test_a_table_of_measurements_is_solved_without_changes(run, document, tmp_pa
     code, _, err = run("inverse", DELTA24, "--input", solved, "--output", tmp_path / "back.csv")
     assert code == 0
     assert {"joint1", "solved.status"} <= rows(tmp_path / "back.csv")[0].keys()
+    # What it wrote itself is solved again, and each column has a name of its own.
+    code, again, _ = run("direct", DELTA24, "--input", solved)
+    assert code == 0
+    columns = again.splitlines()[0].split(",")
+    assert "solved.solved.x" in columns
+    assert len(columns) == len({*columns})
 
 
 def test_a_misspelt_condition_is_named_with_the_one_that_it_may_be(run, tmp_path):
