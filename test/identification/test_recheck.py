@@ -317,7 +317,7 @@ def test_an_effect_that_the_last_calibration_lacked_begins_an_update_as_unknown(
         at = table.index_of(f"encoder_gain.{joint}.gain")
         assert abs(result.model.values[at] - 0.003) < 3 * sigma[at] < 2e-3
         assert result.options.prior.covariance[at, at] >= table.prior_sigma[at] ** 2
-    # What was known of the robot is still known.
+    # The parameters of the robot are known as well as before.
     assert (sigma[:24] <= 1.25 * np.sqrt(np.diag(calibrated().covariance))).all()
 
 
