@@ -237,14 +237,15 @@ def _judge(found: Findings) -> Verdict:
     if found.noise.variance is None:
         verb = "help" if len(found.best.chosen) > 1 else "helps"
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
-        rest = ", but the residuals still have structure" if found.structure.has_structure else ""
+        shows = found.structure.has_structure or found.laws
+        rest = ", but the residuals still have structure" if shows else ""
         touched = is_of_touches(found.best.fitted.dataset)
-        return Verdict(
-            "partly_explained" if found.is_sure else "cannot_know",
-            f"{helps}{rest}. {errors}",
-            share,
-            remarks=(NO_NOISE.format(again="touch points" if touched else "visit poses"),),
-        )
+        unsure = NO_NOISE.format(again="touch points" if touched else "visit poses")
+        word = "cannot_know"
+        if found.is_sure or found.laws:  # a law stands out of noise of any size by its shape
+            word = "partly_explained" if names else "unexplained"
+        remarks = () if found.laws else (unsure,)
+        return Verdict(word, f"{helps}{rest}. {errors}", share, remarks=remarks)
     if found.held > MAX_HELD_ERROR_RATIO:
         return Verdict(
             "unexplained",

@@ -12,14 +12,15 @@ import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import dataset, hiding, sized
 
+import parallel_cal.diagnosis.verdict as verdicts
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.noise import NoiseLevel
+from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
-from parallel_cal.diagnosis.search import Trial
+from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.unusual import UnusualEffect
 from parallel_cal.diagnosis.verdict import (
     QUIETER,
@@ -44,6 +45,55 @@ MODEL = new_model("delta54")
 def test_a_number_outside_its_limits_is_shown_with_the_digits_that_say_so():
     assert format_distinctly([1.1712, 0.85, 1.1708]) == ["1.1712", "0.8500", "1.1708"]
     assert format_distinctly([1.30, 1.17]) == ["1.30", "1.17"]
+
+
+@pytest.mark.parametrize(
+    ("names", "laws", "p", "word"),
+    [
+        ("", {}, {}, "cannot_know"),
+        ("", {"law of joint1": 0.97}, {}, "unexplained"),
+        ("backlash", {}, {"backlash": 0.7}, "cannot_know"),
+        ("backlash", {}, {"backlash": 0.97}, "partly_explained"),
+        ("backlash", {"law of joint1": 0.97}, {"backlash": 0.1}, "partly_explained"),
+    ],
+)
+def test_where_no_noise_is_known_the_word_follows_from_what_is_missing_and_what_is_left(
+    names, laws, p, word, monkeypatch
+):
+    """A law stands out of noise of any size: `left: yes` beside `cannot_know` contradicted it."""
+    monkeypatch.setattr(
+        verdicts,
+        "acceptance",
+        lambda best, base: SimpleNamespace(
+            basis="at held-out poses", after={}, description="error falls", judged=True
+        ),
+    )
+    monkeypatch.setattr(verdicts, "format_errors", lambda errors: "30 um")
+    monkeypatch.setattr(verdicts, "is_of_touches", lambda dataset: False)
+    noise = NoiseLevel(None, 0, "", PureError(None, 0))
+    fitted = SimpleNamespace(
+        estimate=SimpleNamespace(chi2_per_dof=1.0, dof=200), dataset=None, held_out=None
+    )
+    trial = SimpleNamespace(fitted=fitted, chosen=[Chosen(names)] if names else [])
+    found = Findings(
+        trial,
+        trial,
+        1.0,
+        noise,
+        SimpleNamespace(remarks=()),
+        SimpleNamespace(has_structure=False),
+        0.0,
+        {},
+        (),
+        (),
+        probability=p,
+        laws=laws,
+    )
+    fitted.model = SimpleNamespace(has_effect=lambda name: False)
+    judged = verdicts._judge(found)
+    assert judged.word == word
+    assert ("the residuals still have structure" in judged.summary) is bool(laws)
+    assert bool(judged.remarks) is not bool(laws)
 
 
 def test_several_smooth_errors_of_a_joints_angle_are_called_that():
