@@ -51,6 +51,7 @@ from parallel_cal.diagnosis.search import (
     Trial,
 )
 from parallel_cal.diagnosis.thresholds import (
+    MAX_DIAGNOSED_SAMPLES,
     MAX_MISTRUSTED_SHARE,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
@@ -89,6 +90,8 @@ from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
 from parallel_cal.posterior.search import WeighedSetting
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.loading import select_samples
+from parallel_cal.recordings.options import ReadOptions
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -356,6 +359,8 @@ def diagnose(
     ----------
     model : Model
     dataset : Dataset
+        Of more than 10,000 samples, so many are diagnosed, evenly spread over the recording; a
+        warning says so. They keep their numbers.
     effects : iterable of str, optional
         Test only these effects of the catalogue.
     also : iterable of str, optional
@@ -391,6 +396,7 @@ def diagnose(
     ('explained', ('backlash',))
     """
     options = with_changes(options, FitOptions, changes, FitError)
+    dataset = select_samples(dataset, ReadOptions(max_samples=MAX_DIAGNOSED_SAMPLES))
     setup = _Setup.of(model, dataset, effects, also, options, progress or ignore_progress)
     with naming_wrong_columns(setup.ready.start, setup.ready.dataset, setup.any_size):
         if options.loss == "linear":

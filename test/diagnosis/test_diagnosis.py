@@ -177,6 +177,19 @@ def test_the_table_of_effects_agrees_with_what_is_missing(play):
     assert row[:3] == ["backlash", ">", "99"]
 
 
+def test_of_many_samples_an_evenly_spread_part_is_diagnosed_which_a_warning_says(monkeypatch):
+    whole = hiding([vf.KINDS["backlash"]], 1.0, 0)[0]
+    monkeypatch.setattr(diagnosing, "MAX_DIAGNOSED_SAMPLES", 70)
+    found = diagnose(MODEL, whole, effects=["backlash"])
+    numbers = found.dataset.numbers
+    assert 60 < len(numbers) < 80 < len(whole)  # about 70: with all visits of their poses
+    assert numbers[-1] > 0.9 * len(whole)
+    assert np.array_equal(found.dataset.q, whole.q[numbers])
+    said = f"{len(numbers)} of {len(whole)} samples are used, evenly spread over the recording"
+    assert said in found.document()["warnings"]
+    assert found.effects == ("backlash",)
+
+
 @pytest.mark.parametrize(
     ("make", "word"),
     [
