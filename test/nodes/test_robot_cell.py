@@ -586,3 +586,12 @@ def test_the_node_answers_while_the_samples_of_a_campaign_are_made(tmp_path, mon
     assert seconds > 3 * LONGEST
     assert len(waits) > 5
     assert max(waits) < LONGEST
+
+
+def test_a_joint_that_leaves_its_path_ends_the_motion_by_name():
+    """The others are where they should be; at the end of the motion it would be too late."""
+    motion = a_motion()
+    desk = Obeying(motion, losses=0)
+    desk.path[:, 1] -= 20 * (desk.path[:, 1] - HOME[1])
+    with pytest.raises(CellError, match=r"^joint2 left its path \(at .* rad\): the joint does not"):
+        desk.cell.move(motion, desk.go_on)
