@@ -22,9 +22,9 @@ from .campaign.status import Outcome as Outcome
 from .campaign.trajectory import Trajectory as Trajectory
 from .diagnosis.comparison import Comparison as Comparison
 from .diagnosis.comparison import compare as compare
-from .diagnosis.diagnose import Diagnosis as Diagnosis
 from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fitting import fit as fit
+from .diagnosis.result import Diagnosis as Diagnosis
 from .discovery.discovery import discover as discover
 from .discovery.law import Discovery as Discovery
 from .discovery.law import Law as Law

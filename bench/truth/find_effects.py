@@ -17,7 +17,8 @@ import numpy as np
 import virtual_findings as vf
 from findings import clean, hiding
 
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.model.model import new_model
 

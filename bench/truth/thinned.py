@@ -19,7 +19,8 @@ from findings import dataset
 from rich.console import Console
 from rich.table import Table
 
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr

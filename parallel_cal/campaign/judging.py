@@ -17,7 +17,8 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.campaign.laws import LawSearch, search_laws
 from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.campaign.targets import Target, next_targets, repeat_first_poses
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.discovery.in_session import write_effects
 from parallel_cal.identification.image_poses import estimate_robot_error, find_shown_poses

@@ -12,7 +12,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.campaign.path_guard import Guard, PathError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.decision import DECIDED, Decision, Undecided, plan_decision
-from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.diagnosis.separate import plan_refinement
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.approach import approaches

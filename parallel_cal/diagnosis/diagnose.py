@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from parallel_cal.base.arguments import check_arguments
-from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
-from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
@@ -24,18 +21,14 @@ from parallel_cal.diagnosis.ambiguity import (
 )
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.columns import check_far_values, check_samples, naming_wrong_columns
-from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition, format_additions
+from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition
 from parallel_cal.diagnosis.entries import (
-    Entry,
     chi2_before,
     entries,
 )
 from parallel_cal.diagnosis.explanation import Explanation
-from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
+from parallel_cal.diagnosis.findings import Doubts, Findings, Remainder
 from parallel_cal.diagnosis.next_measurement import NextMeasurement
-from parallel_cal.diagnosis.noise import NoiseLevel, advise_on_noise
-from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
     OddSample,
     describe_knocked_samples,
@@ -44,7 +37,7 @@ from parallel_cal.diagnosis.patterns import (
     list_samples_far_from,
     odd_samples,
 )
-from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.diagnosis.search import (
     Refit,
     Search,
@@ -54,16 +47,9 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_DIAGNOSED_SAMPLES,
     MAX_MISTRUSTED_SHARE,
 )
-from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
-from parallel_cal.diagnosis.verdict import (
-    UNEXPLAINED_VERDICTS,
-    Findings,
-    Verdict,
-    judge,
-    leaves_more_than_noise,
-)
+from parallel_cal.diagnosis.unusual import find_unusual_effects
+from parallel_cal.diagnosis.verdict import judge
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.drift_test import TARGET_EFFECT
 from parallel_cal.identification.fit import (
     FitResult,
     Prepared,
@@ -81,13 +67,9 @@ from parallel_cal.identification.outliers import (
 )
 from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
-    find_large_device_effects,
 )
-from parallel_cal.identification.recheck import DEVICE_MOVED, Recheck
-from parallel_cal.identification.registration import Registration
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.model.words import join_words
 from parallel_cal.posterior.search import WeighedSetting
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import select_samples
@@ -97,243 +79,6 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 LIKE_DRIFT = "indistinguishable from drift: neighbours in time explain each other as well"
-
-
-STATE_THE_SIDES = (
-    "state the sides from which the joints came, and diagnose again: columns direction.JOINT, or "
-    "visits: in order in the column map if each joint moved straight from row to row. If encoders "
-    "and device repeat no better, state the noise of repeated visits instead"
-)
-
-
-@dataclass(frozen=True)
-class Diagnosis(ShownInNotebook):
-    """The result of a diagnosis, with its inputs.
-
-    Attributes
-    ----------
-    base : Trial
-        The fit of the model without further effects.
-    best : Trial
-        The fit with the effects that were found.
-    ranked : tuple of Candidate
-        The candidate effects that `base` may lack, the likeliest first.
-    structure : LackOfFit
-        Tests whether neighbouring residuals of `best` are similar.
-    field : Field
-        The residuals of `best`, measured minus predicted, for each sample.
-    odd_samples : tuple of OddSample
-        Samples to check before the diagnosis is relied upon: outliers, and samples with a strong
-        influence on the fit.
-    remaining : RemainingCondition or None
-        A recorded condition on which the residuals of `best` still depend.
-    unusual : tuple of UnusualEffect
-        Effects of `best` that are larger than usual for the class of the machine, and what each
-        gains at held-out poses.
-    suspected : tuple of str
-        Effects that are significant but not yet proven at held-out poses.
-    ambiguous : tuple of Ambiguity
-        Effects of the model in whose place others may be.
-    knocked : tuple of OddSample
-        Single samples far from all others, as if somebody knocked the device. They are excluded
-        from `base` and `best`.
-    explanation : Explanation
-        The causes of the residuals of `base`, with their probabilities.
-    unseparated : tuple of str
-        Effects of the device that the samples do not separate from errors of the robot.
-    addition : Addition or None
-        The effects found that `add` accepts in one step, with the fit that it writes; None if it
-        accepts none.
-    doubted : Addition or None
-        All effects found, judged as `add` judges them, if the robot or the device may cause some of
-        them.
-    drift : Recheck or None
-        Of an update: whether the robot has drifted since its last calibration; None if nothing
-        tells it.
-    """
-
-    model: Model
-    dataset: Dataset
-    base: Trial
-    best: Trial
-    ranked: tuple[Candidate, ...]
-    entries: tuple[Entry, ...]
-    noise: NoiseLevel
-    noise_shape: NoiseShape
-    verdict: Verdict
-    structure: LackOfFit
-    remaining: RemainingCondition | None
-    field: Field
-    odd_samples: tuple[OddSample, ...]
-    swaps: Mapping[str, list[str]]
-    robot_or_device: tuple[str, ...]
-    unusual: tuple[UnusualEffect, ...]
-    suspected: tuple[str, ...]
-    registration: Registration | None
-    measure_next: NextMeasurement
-    explanation: Explanation
-    ambiguous: tuple[Ambiguity, ...] = ()
-    knocked: tuple[OddSample, ...] = ()
-    unseparated: tuple[str, ...] = ()
-    addition: Addition | None = None
-    doubted: Addition | None = None
-    drift: Recheck | None = None
-
-    @property
-    def leaves_an_error(self) -> bool:
-        """Whether an error is left that the catalogue does not describe, or describes only with
-        effects that are larger than usual: a law outside the catalogue may be its cause."""
-        return self.verdict.word in UNEXPLAINED_VERDICTS or bool(self.unusual)
-
-    @property
-    def next_steps(self) -> tuple[str, ...]:
-        """What to do next, the most promising first: commands, with the effects found.
-
-        A law outside the catalogue comes first if the effects found may only imitate it.
-        """
-        excluded = sorted(self.dataset.excluded)  # the command is copied: it names all of them
-        exclude = f" --data exclude={','.join(map(str, excluded))}" if excluded else ""
-        options = f"RECORDING{exclude} -o BETTER.yaml"
-        adds, discovers, advice = list[str](), list[str](), list[str]()
-        if (addition := self.addition) is not None:
-            part = ""
-            if len(addition.effects) < len(self.effects):
-                part = f" ({addition.acceptance.description})"
-            added = shlex.quote(addition.text)
-            adds.append(f"add what was found{part}: parallel-cal add MODEL {added} {options}")
-        if (doubted := self.doubted) is not None:
-            what = "what errs" if self.addition is None else "all of it"
-            judged = doubted.acceptance
-            force = " --force" if judged.against else ""  # the samples do not tell what errs
-            if judged.device_may_err or not judged.against:
-                adds.append(
-                    f"once you know whether the robot or the device errs, add {what}: "
-                    f"parallel-cal add MODEL {shlex.quote(doubted.text)} {options}{force}"
-                )
-        if self.leaves_an_error and self.left != "no":
-            if self.noise.variance is None and not self.explanation.laws:
-                advice.append(advise_on_noise(self.best.fitted, self.noise.pure_error.dof))
-            else:
-                discovers.append(
-                    "search for a law outside the catalogue: parallel-cal discover MODEL "
-                    f"RECORDING{exclude} -o my_law.py"
-                )
-        if self.verdict.needs_sides:
-            adds, discovers, advice = [], [], [STATE_THE_SIDES]
-        commands = discovers + adds if self.verdict.suspected_of_law else adds + discovers
-        refit = f"parallel-cal fit MODEL RECORDING{exclude} -o REFITTED.yaml"
-        if self.drift is not None and self.drift.verdict == DEVICE_MOVED:
-            # Other effects than that of the target may imitate a device that was not placed.
-            is_placed = len(self.model.sensors) > len(self.base.fitted.given.start.sensors)
-            adds = adds if is_placed or TARGET_EFFECT in self.effects else []
-            commands = [self.drift.cure, *(f"if it stays there, {one}" for one in adds)]
-        return (*self._list_checks("" if commands else refit), *commands, *advice)
-
-    def _list_checks(self, refit: str) -> Iterator[str]:
-        """Yield what to do about knocked samples: a `refit` excludes them, if the commands that
-        follow do not."""
-        odd = [one.title for one in self.knocked if not one.sideless]
-        samples, them = ("samples", "them") if len(odd) > 1 else ("sample", "it")
-        if odd and refit:
-            yield f"check {samples} {join_words(odd)}, and fit without {them} if wrong: {refit}"
-        elif odd:
-            yield f"check {samples} {join_words(odd)}: the commands below exclude {them}"
-        if refit and (sideless := [one.title for one in self.knocked if one.sideless]):
-            yield f"fit without sample {', '.join(sideless)}: {refit}"
-
-    def __repr__(self) -> str:
-        found = ", ".join(self.effects) or "no effect"
-        return (
-            f"Diagnosis({self.model.mechanism.name}, {len(self.dataset)} samples, "
-            f"{self.verdict.word}: {found})"
-        )
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Names of the effects found."""
-        return tuple(c.name for c in self.best.chosen)
-
-    @property
-    def missing(self) -> list[dict[str, Any]]:
-        """For each cause found: the effects that it may be, and how probable they are, together
-        (`probability`) and each (`each`)."""
-        return self.explanation.missing(self.effects)
-
-    @property
-    def left(self) -> str:
-        """Whether an error is left that no effect found describes: `no`, `yes` or `unknown`."""
-        if self.explanation.laws:
-            return "yes"
-        if self.noise.variance is None or self.verdict.word == "cannot_know":
-            return "unknown"
-        if self.verdict.word in ("at_noise", "explained"):
-            return "no"
-        shows = leaves_more_than_noise(
-            self.best.fitted.estimate, self.noise, self.structure, self.remaining
-        )
-        return "yes" if shows or not self.effects else "no"
-
-    @property
-    def additions(self) -> tuple[str, ...]:
-        """The effects found, as arguments of `add`, such as `gear_transmission_error:ratio=80`.
-
-        To add all of them in one step, join them by `+`."""
-        return format_additions(self.best, self.best.chosen)
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """Interval (low, high) that holds chi2/dof in 99 % of the cases, if the model needs no
-        further effect; (0, inf) if the noise is not known."""
-        return self.noise.band(self.base.fitted.estimate.dof)
-
-    def document(self) -> dict[str, Any]:
-        """The JSON document of `parallel-cal diagnose`; SI, None for unknown values."""
-        base, best = self.base.fitted, self.best.fitted
-        document = {
-            "missing": self.missing,
-            "left": self.left,
-            "verdict": self.verdict.word,
-            "summary": self.verdict.summary,
-            "effects": self.effects,
-            "additions": self.additions,
-            "share_explained": self.verdict.share,
-            "against": self.verdict.against,
-            "remarks": self.verdict.remarks,
-            "samples": len(self.dataset),
-            "baseline": base.held_out.summary,
-            "best": best.held_out.summary,
-            "chi2_per_dof": {
-                "baseline": base.estimate.chi2_per_dof,
-                "best": best.estimate.chi2_per_dof,
-                "band": self.band,
-            },
-            "noise": {
-                "variance": self.noise.variance,
-                "source": self.noise.source,
-                "replicates": self.noise.pure_error.variance,
-                "replicates_dof": self.noise.pure_error.dof,
-                "misstated": self.noise.misstated,
-                "shape": self.noise_shape,
-                "floor": best.noise_floor,
-            },
-            "candidates": self.entries,
-            "swaps": self.swaps,
-            "robot_or_device": self.robot_or_device,
-            "unusual": self.unusual,
-            "suspected": self.suspected,
-            "like_drift": self.verdict.like_drift,
-            "ambiguous": {one.effect: one.names for one in self.ambiguous},
-            "structure": self.structure,
-            "depends_on": self.remaining,
-            "odd_samples": self.odd_samples,
-            "knocked": [one.sample for one in self.knocked],
-            "measure_next": self.measure_next,
-            "next_steps": self.next_steps,
-            "registration": self.registration,
-            "warnings": best.warnings,
-            "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
-        }
-        return {key: to_json_value(value) for key, value in document.items()}
 
 
 @check_arguments(FitError)
@@ -514,7 +259,7 @@ class _Setup:
             if innocent := find_innocent_samples(others.knocked, more):
                 return self.diagnose_without(aside, why, seen, trusted | innocent)
             return others
-        found = _diagnose_trusted(self, kept, explanation.search, explanation, find)
+        found = _diagnose_trusted(self, explanation.search, explanation, find)
         if seen is None:
             return found
         best = found.best.fitted.model
@@ -591,93 +336,82 @@ def refit_with_equal_weights(
 
 def _diagnose_trusted(
     setup: _Setup,
-    dataset: Dataset,
     search: Search,
     found: Explanation,
     find: FindAddition,
 ) -> Diagnosis:
     """Diagnose samples of which none is set aside; `find` returns what `add` makes of effects."""
     base, names, report = search.fit(), setup.names, setup.report
-    ranked = _rank(base, names, found.settings, report)
-    against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted, **found.absurd}
+    ranked = tuple(_rank(base, names, found.settings, report))
     report("judging the effects as add does", 0.7)
     confirmed = Confirmed.of(search, found, find)
-    best, robot_or_device = confirmed.best, confirmed.robot_or_device
-    against |= confirmed.against
-    swaps = {name: rivals for name, rivals in found.swaps.items() if name in best.names}
-    residual_field = Field.of(best.scene)
-    structure = lack_of_fit(best.scene, residual_field)
-    shape = NoiseShape.of(best.scene, residual_field)
-    noise = NoiseLevel.of(best.scene, residual_field, structure.has_structure, shape.correlated)
-    remaining = find_remaining_condition(best.scene, shape)
-    ambiguous = find_ambiguous_effects(best, names)
+    best = confirmed.best
+    rest, ambiguous = Remainder.of(best.scene), find_ambiguous_effects(best, names)
     report("computing the weights of the observations", 0.8)
-    rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
-    doubts = [found.doubt] if any(rivals.values()) and found.doubt else []
-    rivals |= {one.effect: one.names for one in ambiguous}
-    doubts += [one.doubt for one in ambiguous]
-    measure_next = NextMeasurement(best, rivals, tuple(ranked), tuple(doubts))
-    # What was refused at first, and chosen in the end, is not refused.
-    named = {chosen.name for chosen in best.chosen}
-    against = {name: words for name, words in against.items() if name not in named}
-    for one in ambiguous:
-        looks_like = f"the samples do not distinguish it from {one.effect} of the model"
-        against |= dict.fromkeys(one.names, looks_like)
-    findings = Findings(
-        base=base,
-        best=best,
-        chi2_before=chi2_before(base, best, ranked),
-        noise=noise,
-        shape=shape,
-        structure=structure,
-        remaining=remaining,
-        held=residual_field.held,
+    swaps = {name: rivals for name, rivals in found.swaps.items() if name in best.names}
+    measure_next = _plan_next(best, found, swaps, ambiguous, ranked)
+    doubts = Doubts(
         swaps=swaps,
         refused=(*confirmed.against.values(), *found.refuted.values()),
-        wrong_signs=found.wrong_signs,
-        robot_or_device=robot_or_device,
+        robot_or_device=confirmed.robot_or_device,
         outdone=found.outdone,
+        wrong_signs=found.wrong_signs,
         unusual=find_unusual_effects(search, best),
         ambiguous=describe_ambiguities(ambiguous, measure_next.plan) if ambiguous else (),
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
         like_drift=found.like_drift,
-        sides_from_order=dataset.sides_from_order,
-        has_sides=any(name.startswith("direction.") for name in dataset.conditions),
-        probability={
-            name: one["probability"]
-            for name, one in zip(best.names, found.missing(best.names), strict=True)
-        },
-        laws=found.laws,
     )
+    probability = dict(zip(best.names, found.missing(best.names), strict=True))
+    findings = Findings(
+        base,
+        best,
+        chi2_before(base, best, ranked),
+        rest,
+        doubts,
+        {name: one["probability"] for name, one in probability.items()},
+        found.laws,
+    )
+    against = _list_refusals(best, found, confirmed, ambiguous)
     return Diagnosis(
-        model=setup.ready.start,
-        dataset=dataset,
-        base=base,
-        best=best,
-        ranked=tuple(ranked),
-        entries=entries(ranked, base, search, noise, against, best, found, confirmed.against),
-        noise=noise,
-        noise_shape=shape,
+        ready=setup.ready,
+        findings=findings,
+        explanation=found,
+        confirmed=confirmed,
+        entries=entries(ranked, base, search, rest.noise, against, best, found, confirmed.against),
         verdict=judge(findings),
-        structure=structure,
-        remaining=remaining,
-        field=residual_field,
-        odd_samples=odd_samples(best.scene, residual_field),
-        swaps=swaps,
-        robot_or_device=robot_or_device,
-        unusual=findings.unusual,
-        suspected=tuple(confirmed.against),
-        registration=setup.ready.registration,
         measure_next=measure_next,
         ambiguous=ambiguous,
-        unseparated=tuple(find_large_device_effects(best.fitted.model))
-        if findings.unseparated
-        else (),
-        addition=confirmed.addition,
-        doubted=confirmed.doubted,
-        explanation=found,
-        drift=setup.ready.drift,
+        odd_samples=odd_samples(best.scene, rest.field),
     )
+
+
+def _plan_next(
+    best: Trial,
+    found: Explanation,
+    swaps: Mapping[str, list[str]],
+    ambiguous: Sequence[Ambiguity],
+    ranked: tuple[Candidate, ...],
+) -> NextMeasurement:
+    """What to measure so that the samples decide between effects and their rivals."""
+    rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
+    doubts = [found.doubt] if any(rivals.values()) and found.doubt else []
+    rivals |= {one.effect: one.names for one in ambiguous}
+    doubts += [one.doubt for one in ambiguous]
+    return NextMeasurement(best, rivals, ranked, tuple(doubts))
+
+
+def _list_refusals(
+    best: Trial, found: Explanation, confirmed: Confirmed, ambiguous: Sequence[Ambiguity]
+) -> dict[str, str]:
+    """Why effects that the samples would allow are not among those found."""
+    against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted, **found.absurd}
+    against |= confirmed.against
+    # What was refused at first, and chosen in the end, is not refused.
+    against = {name: words for name, words in against.items() if name not in best.names}
+    for one in ambiguous:
+        looks_like = f"the samples do not distinguish it from {one.effect} of the model"
+        against |= dict.fromkeys(one.names, looks_like)
+    return against
 
 
 def _rank(

@@ -12,11 +12,11 @@ import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.explanation import Explanation
+from parallel_cal.diagnosis.findings import share_explained
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scoring import canonical_correlation
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES, MIN_CONFUSED_CORRELATION
-from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.identification.fit import ParameterEstimate
 from parallel_cal.identification.prediction_errors import Summary
 

@@ -5,32 +5,22 @@ The numbers come from held-out poses and stated or measured noise, not from the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from parallel_cal.base.confidence import format_percent
 from parallel_cal.base.units import ERROR_UNITS, MM
+from parallel_cal.diagnosis.findings import Findings
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import (
     AT_ONE_HEIGHT,
     Region,
     is_of_touches,
     is_touched_at_one_height,
 )
-from parallel_cal.diagnosis.remaining import RemainingCondition
-from parallel_cal.diagnosis.search import Trial, ratio_of
-from parallel_cal.diagnosis.thresholds import (
-    CREDIBLE,
-    MAX_ERROR_TO_NOISE_RATIO,
-    MAX_SWAP_ERROR_RATIO,
-    MIN_FAMILY_MEMBERS,
-)
-from parallel_cal.diagnosis.unusual import UnusualEffect
+from parallel_cal.diagnosis.thresholds import MAX_ERROR_TO_NOISE_RATIO
 from parallel_cal.identification.acceptance import acceptance, format_errors
 from parallel_cal.identification.fit_warnings import format_distinctly
-from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import MAX_HELD_ERROR_RATIO, MIN_DOF
 from parallel_cal.model.shelf import load_effect
@@ -74,136 +64,6 @@ class Verdict:
         return "; ".join([self.summary, *self.against, *self.remarks])
 
 
-@dataclass(frozen=True)
-class Findings:
-    """What a verdict judges: a search that started at `base` and ended at `best`.
-
-    `chi2_before` is chi2/dof of the base, on the rows of the best. `structure` and `held` (as in
-    Field) describe the residuals of the best. `swaps` lists by chosen effect those that fit as
-    well. `refused` says why significant effects could not be identified. `robot_or_device` lists
-    effects that an error of the device explains as well. `remaining` is a recorded condition that
-    the residuals of the best depend on. `outdone` lists refused effects that
-    would explain the error better than a chosen one, with the reason. `wrong_signs` says which
-    significant effects fit only with a sign that physics forbids. `unusual` lists effects that are
-    larger than usual. `ambiguous` are sentences about effects of the model that another effect
-    would replace without loss. `unseparated` says that effects of the device move the robot further
-    than the errors show. `like_drift` lists effects of time that explain no more than noise that
-    drifts. `sides_from_order` is that of the dataset, and `has_sides` whether it contains the sides
-    from which the joints came. `probability` is, for each effect found, that the robot has it, or
-    one that may be in its place, and `laws` are those that no effect describes, with theirs.
-    """
-
-    base: Trial
-    best: Trial
-    chi2_before: float
-    noise: NoiseLevel
-    shape: NoiseShape
-    structure: LackOfFit
-    held: float
-    swaps: Mapping[str, Sequence[str]]
-    refused: Sequence[str]
-    robot_or_device: Sequence[str]
-    outdone: Sequence[str] = ()
-    wrong_signs: Sequence[str] = ()
-    unusual: tuple[UnusualEffect, ...] = ()
-    ambiguous: tuple[str, ...] = ()
-    remaining: RemainingCondition | None = None
-    unseparated: str = ""
-    like_drift: tuple[str, ...] = ()
-    sides_from_order: bool = False
-    has_sides: bool = True
-    probability: Mapping[str, float] = field(default_factory=dict)
-    laws: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def final_estimate(self) -> Estimate:
-        return self.best.fitted.estimate
-
-    @property
-    def share(self) -> float | None:
-        """Share of the variance above the noise floor that the chosen effects remove."""
-        return share_explained(
-            self.chi2_before, self.final_estimate.chi2_per_dof, self.noise.variance
-        )
-
-    @property
-    def names(self) -> str:
-        """`backlash`, `A or B` or a family of lookalikes; several as `(A or B) and C`. Of an effect
-        that the model has, a joint has another number: `A with another ratio of joint2`."""
-        has = self.base.fitted.model.has_effect
-        names = list[str]()
-        for one in self.best.chosen:
-            name = format_effect_names([one.name, *self.swaps.get(one.name, [])])
-            for joint, _, number in (key.rpartition(".") for key in one.settings):
-                name += f" with another {number} of {joint}" if has(one.name) else ""
-            names.append(name)
-        if len(names) == 1:
-            return names[0]
-        return " and ".join(f"({name})" if " or " in name else name for name in names)
-
-    @property
-    def leaves_more_than_noise(self) -> bool:
-        return leaves_more_than_noise(
-            self.final_estimate, self.noise, self.structure, self.remaining
-        )
-
-    @property
-    def suspected_of_law(self) -> list[str]:
-        """Effects found larger than usual, if they leave an error or another effect explains as
-        much: then they may only imitate a law that is not in the catalogue."""
-        unusual = {one.name for one in self.unusual}
-        names = [c.name for c in self.best.chosen if c.name in unusual]
-        doubtful = self.leaves_more_than_noise or any(self.swaps.get(name) for name in names)
-        return names if doubtful else []
-
-    @property
-    def imitating(self) -> list[str]:
-        """Effects found that are less likely than not, where a law outside the catalogue is."""
-        return [name for name, p in self.probability.items() if p < 0.5] if self.laws else []
-
-    @property
-    def was_inside_band(self) -> bool:
-        """Whether the base needed no effect: its chi2/dof was inside the band, and the effects
-        found are either not sure or lower the validation error only a little."""
-        high = self.noise.band(self.base.fitted.estimate.dof)[1]
-        inside = self.chi2_before <= high and not self.noise.is_exceeded
-        ratio = ratio_of(self.base, self.best)
-        counts = ratio is None or ratio * MAX_SWAP_ERROR_RATIO < 1
-        return bool(inside and not (self.is_sure and counts))
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether the robot has one of the effects found, or one that may be in its place."""
-        return max(self.probability.values(), default=0.0) > CREDIBLE
-
-
-def leaves_more_than_noise(
-    after: Estimate, noise: NoiseLevel, structure: LackOfFit, remaining: RemainingCondition | None
-) -> bool:
-    """Whether the residuals of a fit are too large for the noise, or have a structure that noise
-    has not."""
-    too_large = after.chi2_per_dof > noise.band(after.dof)[1]
-    return too_large or structure.has_structure or remaining is not None
-
-
-def format_effect_names(names: Sequence[str]) -> str:
-    """`A or B`; of three or more of a family `a smooth error of the joint's angle, e.g. A`."""
-    family = load_effect(names[0]).family
-    own = [name for name in names if family and load_effect(name).family == family]
-    if len(own) < MIN_FAMILY_MEMBERS:
-        return " or ".join(names)
-    others = [name for name in names if name not in own]
-    return " or ".join([f"{family}, e.g. {names[0]}", *others])
-
-
-def share_explained(before: float, after: float, noise: float | None) -> float | None:
-    """1 - (s_after^2 - sigma^2) / (s_before^2 - sigma^2), of chi2/dof; None without a noise
-    figure, or if `before` is not above the noise."""
-    if noise is None or before <= noise:
-        return None
-    return min(1.0, 1 - (after - noise) / (before - noise))
-
-
 def judge(found: Findings) -> Verdict:
     """Judge the findings.
 
@@ -213,10 +73,10 @@ def judge(found: Findings) -> Verdict:
     verdict = replace(
         _judge(found),
         suspected_of_law=tuple(dict.fromkeys([*found.suspected_of_law, *found.imitating])),
-        like_drift=found.like_drift,
+        like_drift=found.doubts.like_drift,
     )
     against = tuple(dict.fromkeys([*verdict.against, *_describe_doubts(found)]))
-    return replace(verdict, against=against, remarks=(*verdict.remarks, *found.ambiguous))
+    return replace(verdict, against=against, remarks=(*verdict.remarks, *found.doubts.ambiguous))
 
 
 def _judge(found: Findings) -> Verdict:
@@ -226,18 +86,18 @@ def _judge(found: Findings) -> Verdict:
     now = f"error {judgement.basis} {format_errors(judgement.after)}"
     fell = judgement.description if found.best.chosen else now
     errors = f"{fell[0].upper()}{fell[1:]}"
-    if (dof := found.noise.count_testing_dof(after.dof)) < MIN_DOF:
-        beside = " beside those of the replicates" if found.noise.dof else ""
+    if (dof := found.rest.noise.count_testing_dof(after.dof)) < MIN_DOF:
+        beside = " beside those of the replicates" if found.rest.noise.dof else ""
         words = f"{dof} degrees of freedom{beside} are too few for a verdict: measure more poses"
         return Verdict("cannot_know", words)
     if found.best.chosen and not judgement.judged:
         fits = "fit better" if len(found.best.chosen) > 1 else "fits better"
         words = f"{names} {fits}, but there is no validation error. {errors}"
         return Verdict("cannot_know", words, share, remarks=(judgement.against,))
-    if found.noise.variance is None:
+    if found.rest.noise.variance is None:
         verb = "help" if len(found.best.chosen) > 1 else "helps"
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
-        shows = found.structure.has_structure or found.laws
+        shows = found.rest.structure.has_structure or found.laws
         rest = ", but the residuals still have structure" if shows else ""
         touched = is_of_touches(found.best.fitted.dataset)
         unsure = NO_NOISE.format(again="touch points" if touched else "visit poses")
@@ -246,11 +106,11 @@ def _judge(found: Findings) -> Verdict:
             word = "partly_explained" if names else "unexplained"
         remarks = () if found.laws else (unsure,)
         return Verdict(word, f"{helps}{rest}. {errors}", share, remarks=remarks)
-    if found.held > MAX_HELD_ERROR_RATIO:
+    if found.rest.field.held > MAX_HELD_ERROR_RATIO:
         return Verdict(
             "unexplained",
             "the measured pose includes coordinates that the model holds at one value: use a "
-            f"larger model. They vary by {found.held:.0f} sigmas",
+            f"larger model. They vary by {found.rest.field.held:.0f} sigmas",
             share,
             remarks=(errors,),
         )
@@ -259,12 +119,10 @@ def _judge(found: Findings) -> Verdict:
     several = len(found.best.chosen) > 1
     against = tuple(_list_objections(found))
     errors += _describe_noise_floor(found)
-    if found.noise.is_exceeded and not found.has_sides:
+    if found.rest.noise.is_exceeded and not found.has_sides:
         return _ask_for_sides(found, errors, share)
     if found.was_inside_band:
-        chi2, high = format_distinctly(
-            [found.chi2_before, found.noise.band(found.base.fitted.estimate.dof)[1]]
-        )
+        chi2, high = format_distinctly([found.chi2_before, found.high_before])
         words = (
             f"the residuals are within the noise without any effect (chi2/dof {chi2}, at most "
             f"{high}). With {names}: {fell}; add "
@@ -280,8 +138,8 @@ def _judge(found: Findings) -> Verdict:
 def _describe_share(found: Findings) -> str:
     """Say how much of the error above the noise floor the effects found account for; a share of an
     excess that chance may have made means nothing."""
-    several, band = len(found.best.chosen) > 1, found.noise.band(found.base.fitted.estimate.dof)
-    if found.share is None or found.chi2_before <= band[1]:
+    several, high = len(found.best.chosen) > 1, found.high_before
+    if found.share is None or found.chi2_before <= high:
         return f"{'together explain' if several else 'explains'} the remaining error"
     verb = "together account" if several else "accounts"
     return f"{verb} for {100 * max(found.share, 0):.0f} % of the error above the noise floor"
@@ -293,10 +151,11 @@ def _describe_only_doubt(found: Findings) -> str:
     if found.leaves_more_than_noise or found.laws:
         return ""
     doubts = []
-    if found.unusual:
-        verb = "is" if len(found.unusual) == 1 else "are"
-        doubts.append(f"{' and '.join(one.name for one in found.unusual)} {verb} larger than usual")
-    if found.robot_or_device or found.unseparated:
+    if found.doubts.unusual:
+        verb = "is" if len(found.doubts.unusual) == 1 else "are"
+        names = " and ".join(one.name for one in found.doubts.unusual)
+        doubts.append(f"{names} {verb} larger than usual")
+    if found.doubts.robot_or_device or found.doubts.unseparated:
         doubts.append("the robot or the measuring device may be the cause")
     return f"; nothing else is left, but {', and '.join(doubts)}" if doubts else ""
 
@@ -314,8 +173,8 @@ def _ask_for_sides(found: Findings, errors: str, share: float | None) -> Verdict
         f"sides from which the joints came are not known. {errors}",
         share,
         remarks=(
-            f"visits of the same pose differ by {found.noise.misstated:.1f} times "
-            f"{found.noise.used}: a backlash makes them differ, and imitates "
+            f"visits of the same pose differ by {found.rest.noise.misstated:.1f} times "
+            f"{found.rest.noise.used}: a backlash makes them differ, and imitates "
             f"{'such effects' if several else 'such an effect'}",
         ),
         needs_sides=True,
@@ -325,20 +184,20 @@ def _ask_for_sides(found: Findings, errors: str, share: float | None) -> Verdict
 def _list_objections(found: Findings) -> list[str]:
     """List what keeps the found effects from being the whole explanation."""
     against, chi2 = [], found.final_estimate.chi2_per_dof
-    high, structure = found.noise.band(found.final_estimate.dof)[1], found.structure
+    high, structure = found.high_after, found.rest.structure
     if chi2 > high:
         shown = format_distinctly([chi2, high])
         against.append(
             f"the residuals still exceed the noise: chi2/dof is {shown[0]}, and "
-            f"{_name_noise(found.noise)} gives at most {shown[1]} (99 % limit)"
+            f"{_name_noise(found.rest.noise)} gives at most {shown[1]} (99 % limit)"
         )
         against += _describe_like_drift(found)
     against += _describe_imitated_law(found)
     against += _describe_doubts(found)
     if found.leaves_more_than_noise:  # else no further effect is needed, whatever it would explain
-        against += [*found.outdone, *found.wrong_signs]
-    if found.remaining and (found.noise.is_exceeded or chi2 > high):
-        against.append(found.remaining.description)
+        against += [*found.doubts.outdone, *found.doubts.wrong_signs]
+    if found.rest.condition and (found.rest.noise.is_exceeded or chi2 > high):
+        against.append(found.rest.condition.description)
     if structure.has_structure:
         against.append(
             f"the residuals still have structure (p = {structure.p_value:.1g}{_size(structure)})"
@@ -357,10 +216,10 @@ def _describe_doubts(found: Findings) -> list[str]:
     """Describe effects that are larger than usual, and why `add` may refuse others: robot and
     device are not separated."""
     return [
-        *(one.description for one in found.unusual),
+        *(one.description for one in found.doubts.unusual),
         *_describe_suspected_law(found),
-        *map(robot_or_device, found.robot_or_device),
-        *([found.unseparated] if found.unseparated else []),
+        *map(robot_or_device, found.doubts.robot_or_device),
+        *([found.doubts.unseparated] if found.doubts.unseparated else []),
     ]
 
 
@@ -369,7 +228,7 @@ def _describe_like_drift(found: Findings) -> list[str]:
     return [
         f"{name} would explain the error no better than noise of the device or the robot that "
         f"drifts; to tell them, measure {load_effect(name).separated_by}"
-        for name in found.like_drift
+        for name in found.doubts.like_drift
     ]
 
 
@@ -391,7 +250,7 @@ def _describe_suspected_law(found: Findings) -> list[str]:
         return []
     is_one = len(names) == 1
     why = "leaves an error" if is_one else "leave an error"
-    if any(found.swaps.get(name) for name in names):
+    if any(found.doubts.swaps.get(name) for name in names):
         why = "is not the only explanation" if is_one else "are not the only explanations"
     return [
         f"{' and '.join(names)} {why}, so the cause may be an effect that is not in the catalogue: "
@@ -417,8 +276,8 @@ def robot_or_device(name: str) -> str:
 
 
 def _nothing_found(found: Findings, errors: str) -> Verdict:
-    chi2, high = found.final_estimate.chi2_per_dof, found.noise.band(found.final_estimate.dof)[1]
-    noise, refused = _noise(found), tuple(found.refused[:1])
+    chi2, high = found.final_estimate.chi2_per_dof, found.high_after
+    noise, refused = _noise(found), tuple(found.doubts.refused[:1])
     if chi2 <= high and found.laws:
         # The noise may be little known, or be large: a law stands out of it by its shape.
         return Verdict(
@@ -427,14 +286,14 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
             f"({join_words(found.laws)}). {NOT_IN_CATALOGUE}",
             remarks=(errors, *refused, *noise),
         )
-    if chi2 <= high and found.noise.is_exceeded:
+    if chi2 <= high and found.rest.noise.is_exceeded:
         return _doubt_noise(found, errors)
-    if chi2 <= high and found.noise.dof is not None and found.remaining:
+    if chi2 <= high and found.rest.noise.dof is not None and found.rest.condition:
         # What moves the robot between visits of a pose passes for noise.
         return Verdict(
             "unexplained",
             "the residuals are no larger than the scatter of revisited poses, but "
-            f"{found.remaining.description}, as noise does not. {NOT_IN_CATALOGUE}",
+            f"{found.rest.condition.description}, as noise does not. {NOT_IN_CATALOGUE}",
             remarks=(errors, *refused, *noise),
         )
     if chi2 <= high:
@@ -444,22 +303,22 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
         if is_touched_at_one_height(found.best.fitted):
             where = AT_ONE_HEIGHT
         advice = [f"no further effect is needed{where}", *_uncertainty(found)]
-        if found.refused:
+        if found.doubts.refused:
             advice = list(refused)
-        elif found.structure.has_structure:
+        elif found.rest.structure.has_structure:
             advice.append("neighbouring residuals are similar: look at the map")
         return Verdict("at_noise", words, remarks=(*advice, *noise))
     known = " and ".join(effect.name for effect in found.base.fitted.model.effects)
     beside = known and f", beside {known} of the model,"  # what these leave was there before them
     nothing, remarks = f"no effect of the catalogue{beside} explains it", list[str]()
-    if found.refused:
+    if found.doubts.refused:
         nothing, remarks = "no effect explains it well", [*refused]
-    elif found.like_drift:
+    elif found.doubts.like_drift:
         nothing, remarks = "noise that drifts does", _describe_like_drift(found)
-    if size := _size(found.structure, "the smooth part is"):
+    if size := _size(found.rest.structure, "the smooth part is"):
         remarks.append(size)
-    if found.remaining:
-        remarks.append(found.remaining.description)
+    if found.rest.condition:
+        remarks.append(found.rest.condition.description)
     return Verdict(
         "unexplained",
         f"chi2/dof {' is above '.join(format_distinctly([chi2, high]))}, but {nothing}. {errors}",
@@ -470,19 +329,19 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
 def _doubt_noise(found: Findings, errors: str) -> Verdict:
     """Judge residuals that are within the scatter of revisited poses, but not within the noise that
     the fit used: the scatter may be noise, or motion of the robot between the visits."""
-    ratio = f"by {found.noise.misstated or 1.0:.1f} times {found.noise.used}"
+    ratio = f"by {found.rest.noise.misstated or 1.0:.1f} times {found.rest.noise.used}"
     differ = f"visits of the same pose differ {ratio}"
-    if found.remaining:
+    if found.rest.condition:
         return Verdict(
             "unexplained",
-            f"{differ}, and {found.remaining.description}. {NOT_IN_CATALOGUE}",
+            f"{differ}, and {found.rest.condition.description}. {NOT_IN_CATALOGUE}",
             remarks=(errors,),
         )
     test = (
         "measure one pose ten times without moving the robot: if this scatters less, the robot "
         "moves; if it scatters as much, state this noise in the model file"
     )
-    if found.noise.from_jitter:
+    if found.rest.noise.from_jitter:
         test = (
             "record what differed and diagnose again; if nothing did, because encoders and device "
             "repeat no better, state the noise of repeated visits in the model file"
@@ -501,15 +360,15 @@ def _doubt_noise(found: Findings, errors: str) -> Verdict:
     return Verdict(
         "cannot_know",
         f"{differ}, and the difference depends on no recorded condition",
-        remarks=(*remarks, *(f"by the residuals, {words}" for words in found.shape.remarks)),
+        remarks=(*remarks, *(f"by the residuals, {words}" for words in found.rest.shape.remarks)),
     )
 
 
 def _noise(found: Findings) -> tuple[str, ...]:
     """Describe the noise if it is not white, or not as stated."""
-    words = list(found.shape.remarks)
-    if found.noise.misstated is not None:
-        words.insert(0, f"the noise is {found.noise.misstated:.1f} times {found.noise.used}")
+    words, noise = list(found.rest.shape.remarks), found.rest.noise
+    if noise.misstated is not None:
+        words.insert(0, f"the noise is {noise.misstated:.1f} times {noise.used}")
     elif _is_quieter_than_stated(found):
         words.insert(0, QUIETER)
     return (f"by the residuals, {' and '.join(words)}",) if words else ()
@@ -517,7 +376,7 @@ def _noise(found: Findings) -> tuple[str, ...]:
 
 def _uncertainty(found: Findings) -> list[str]:
     """Describe the part of the validation errors that the model uncertainty makes."""
-    result, misstated = found.best.fitted, found.noise.misstated or 1.0
+    result, misstated = found.best.fitted, found.rest.noise.misstated or 1.0
     floors, twice, is_large = dict[str, float](), dict[str, float](), False
     for kind in ERROR_UNITS:
         error, stated = result.held_out.summary.rms(kind), result.noise_floor.rms(kind)
@@ -540,7 +399,7 @@ def _uncertainty(found: Findings) -> list[str]:
 def _describe_noise_floor(found: Findings) -> str:
     """Format the noise floor of the validation error, if the noise is as stated."""
     floor = found.best.fitted.noise_floor
-    if found.noise.misstated is not None or not floor.is_known:
+    if found.rest.noise.misstated is not None or not floor.is_known:
         return ""
     whose = " by the stated noise" if _is_quieter_than_stated(found) else ""
     return f"; noise floor {format_errors(floor)}{whose}"
@@ -548,7 +407,7 @@ def _describe_noise_floor(found: Findings) -> str:
 
 def _is_quieter_than_stated(found: Findings) -> bool:
     after = found.final_estimate
-    return after.chi2_per_dof < found.noise.band(after.dof)[0]
+    return after.chi2_per_dof < found.rest.noise.band(after.dof)[0]
 
 
 def _size(structure: LackOfFit, before: str = ",") -> str:

@@ -11,8 +11,8 @@ import numpy as np
 from parallel_cal.base.parallel import Runner
 from parallel_cal.diagnosis.addition import find_addition
 from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.findings import share_explained
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.discovery.drivers import PLACES
 from parallel_cal.discovery.effect_file import (
     list_coefficients,

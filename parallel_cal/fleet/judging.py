@@ -12,7 +12,8 @@ import numpy as np
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.causes.effects import find_missing_conditions, find_new_parameters
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.fleet.jobs import CASADI_LOCK, FleetOptions, Job, check_version, reason
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.model.file.modelfile import model_text, parse_model

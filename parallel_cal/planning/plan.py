@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -288,14 +289,18 @@ def plan(
         random=random,
         pool=pool.groups.size,
         update=update,
-        warnings=(
-            *_list_blind_warnings(expected, view, pool.rows(rows)),
-            *view.warnings(),
-            *_list_sensor_warnings(model),
-            *_list_region_warnings(model, pool.poses[rows]),
-            *filter(None, [describe_untested_conditions(model, pool.a[rows])]),
-        ),
+        warnings=tuple(_list_warnings(view, expected, pool.rows(rows))),
     )
+
+
+def _list_warnings(view: View, expected: Expectation, chosen: Pool) -> Iterator[str]:
+    """Say what the chosen poses leave unknown, and what to see to before they are measured."""
+    yield from _list_blind_warnings(expected, view, chosen)
+    yield from view.warnings()
+    yield from _list_sensor_warnings(view.model)
+    yield from _list_region_warnings(view.model, chosen.poses)
+    if untested := describe_untested_conditions(view.model, chosen.a):
+        yield untested
 
 
 def _make_candidates(model: Model, n: int, options: PlanOptions, rng: np.random.Generator) -> Pool:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.diagnosis.comparison import Comparison
-from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap, regressors
 from parallel_cal.diagnosis.patterns import ResidualProfile
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.diagnosis.signature import compute_joint_components
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.given_model import last_fit_to, was_last_fitted_to

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from parallel_cal.base.confidence import format_percent
-from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.next_measurement import PlannedPose
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.diagnosis.thresholds import CREDIBLE, MAX_REFITTED_CANDIDATES
 from parallel_cal.reporting import signatures

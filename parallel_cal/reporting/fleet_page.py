@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import quote, unquote
 
 from parallel_cal.base.files import write_atomically
-from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.fleet.findings import Change, Deviation, Drift, Findings
 from parallel_cal.fleet.fleet import Fleet

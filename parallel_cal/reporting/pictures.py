@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from parallel_cal.base.arguments import describe_argument
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.diagnosis.comparison import Comparison
-from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.discovery.law import Discovery
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.reporting import contents, figures, spaces

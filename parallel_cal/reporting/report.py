@@ -15,7 +15,7 @@ from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.patterns import (
     Region,
@@ -23,6 +23,7 @@ from parallel_cal.diagnosis.patterns import (
     compute_residual_profiles,
     regions,
 )
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.identification.age import Age
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.options import FitKeywords, FitOptions

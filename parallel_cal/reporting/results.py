@@ -48,7 +48,7 @@ from parallel_cal.reporting.tables import (
 if TYPE_CHECKING:
     from parallel_cal.diagnosis.catalogue import Candidate
     from parallel_cal.diagnosis.comparison import Comparison
-    from parallel_cal.diagnosis.diagnose import Diagnosis
+    from parallel_cal.diagnosis.result import Diagnosis
     from parallel_cal.discovery.law import Discovery
     from parallel_cal.session.steps import Step
 

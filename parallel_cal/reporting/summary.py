@@ -32,8 +32,8 @@ from parallel_cal.reporting.readable import (
 
 if TYPE_CHECKING:
     from parallel_cal.diagnosis.comparison import Comparison
-    from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.noise import NoiseLevel
+    from parallel_cal.diagnosis.result import Diagnosis
     from parallel_cal.identification.drift_test import Moved
     from parallel_cal.identification.estimate import Estimate
     from parallel_cal.identification.noise_floor import NoiseFloor

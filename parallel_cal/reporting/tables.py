@@ -38,8 +38,8 @@ from parallel_cal.reporting.readable import (
 )
 
 if TYPE_CHECKING:
-    from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.entries import Entry
+    from parallel_cal.diagnosis.result import Diagnosis
     from parallel_cal.discovery.law import Discovery
     from parallel_cal.session.saving import ComparedModel
 

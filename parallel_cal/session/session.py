@@ -17,8 +17,9 @@ from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.patterns import explain_exclusion
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.identification.fit import Prepared
 from parallel_cal.identification.noise_figures import noise_in_use
 from parallel_cal.identification.observations import observe

@@ -12,8 +12,9 @@ import numpy as np
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import Comparison, compare
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose_fitted
+from parallel_cal.diagnosis.diagnose import diagnose_fitted
 from parallel_cal.diagnosis.entries import Entry
+from parallel_cal.diagnosis.result import Diagnosis
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import MAX_DIAGNOSED_SAMPLES
 from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283

@@ -15,6 +15,7 @@ from parallel_cal.diagnosis import verdict
 from parallel_cal.diagnosis.causes import _find_noise
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.findings import Doubts
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.identification.fit import fit
@@ -111,14 +112,18 @@ def test_what_depends_on_a_condition_is_no_noise_though_revisited_poses_differ_a
     """Visits under other loads differ by what the load does: without a stated noise, that passed
     for noise, and the verdict was `at_noise`."""
     seen = PureError(1.0, 132)
+    noise = NoiseLevel(1.0, seen.dof, "replicates", seen)
     found = SimpleNamespace(
         final_estimate=SimpleNamespace(chi2_per_dof=1.0, dof=850),
-        noise=NoiseLevel(1.0, seen.dof, "replicates", seen),
-        remaining=remaining,
-        refused=("the compliance would have to be negative",),
-        shape=SimpleNamespace(remarks=()),
+        high_after=noise.band(850)[1],
+        rest=SimpleNamespace(
+            noise=noise,
+            condition=remaining,
+            shape=SimpleNamespace(remarks=()),
+            structure=SimpleNamespace(has_structure=False),
+        ),
+        doubts=Doubts(refused=("the compliance would have to be negative",)),
         best=SimpleNamespace(fitted=None),
-        structure=SimpleNamespace(has_structure=False),
         laws={},
     )
     monkeypatch.setattr(verdict.Region, "of", lambda fitted: None)

@@ -274,7 +274,8 @@ def test_axes_that_lean_by_a_milliradian_keep_their_name(seed):
     refused = found.doubted.acceptance
     assert refused.device_may_err
     other = replace(refused, device_may_err=False)  # refused for another reason: no proposal
-    none = replace(found, doubted=SimpleNamespace(acceptance=other, text="device_axes"))
+    doubted = SimpleNamespace(acceptance=other, text="device_axes")
+    none = replace(found, confirmed=replace(found.confirmed, doubted=doubted))
     assert not any("parallel-cal add" in step for step in none.next_steps)
 
 

@@ -196,13 +196,14 @@ def test_every_verdict_says_robot_or_device_once(monkeypatch):
     disc = vr.EncoderEccentricity((2.7e-3, -1.5e-3, 0.9e-3), (-1.2e-3, 2.6e-3, 2.8e-3))
     data = dataset(vf.samples(vf.session(0), [disc], vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
     diagnose(new_model("delta54"), data, effects=["encoder_eccentricity"])
-    doubtful = replace(seen[0], robot_or_device=("encoder_eccentricity",))
+    doubts = replace(seen[0].doubts, robot_or_device=("encoder_eccentricity",))
+    doubtful = replace(seen[0], doubts=doubts)
     words = "robot or device: the measuring device may cause encoder_eccentricity"
     verdict = judge(doubtful)
     assert verdict.word == "partly_explained"
     assert verdict.text.count(words) == 1
-    unknown_noise = replace(doubtful, noise=replace(doubtful.noise, variance=None))
-    verdict = judge(unknown_noise)
+    unknown = replace(doubtful.rest, noise=replace(doubtful.rest.noise, variance=None))
+    verdict = judge(replace(doubtful, rest=unknown))
     assert verdict.word in ("cannot_know", "partly_explained")
     assert verdict.text.count(words) == 1
 

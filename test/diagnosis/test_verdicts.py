@@ -17,6 +17,7 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.findings import Doubts, Findings, Remainder, format_effect_names
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
@@ -24,10 +25,8 @@ from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.unusual import UnusualEffect
 from parallel_cal.diagnosis.verdict import (
     QUIETER,
-    Findings,
     _describe_noise_floor,
     _noise,
-    format_effect_names,
     judge,
 )
 from parallel_cal.identification.fit import fit
@@ -70,7 +69,13 @@ def test_where_no_noise_is_known_the_word_follows_from_what_is_missing_and_what_
     )
     monkeypatch.setattr(verdicts, "format_errors", lambda errors: "30 um")
     monkeypatch.setattr(verdicts, "is_of_touches", lambda dataset: False)
-    noise = NoiseLevel(None, 0, "", PureError(None, 0))
+    rest = Remainder(
+        None,
+        SimpleNamespace(has_structure=False),
+        SimpleNamespace(remarks=()),
+        NoiseLevel(None, 0, "", PureError(None, 0)),
+        None,
+    )
     fitted = SimpleNamespace(
         estimate=SimpleNamespace(chi2_per_dof=1.0, dof=200), dataset=None, held_out=None
     )
@@ -79,15 +84,10 @@ def test_where_no_noise_is_known_the_word_follows_from_what_is_missing_and_what_
         trial,
         trial,
         1.0,
-        noise,
-        SimpleNamespace(remarks=()),
-        SimpleNamespace(has_structure=False),
-        0.0,
-        {},
-        (),
-        (),
-        probability=p,
-        laws=laws,
+        rest,
+        Doubts(),
+        p,
+        laws,
     )
     fitted.model = SimpleNamespace(has_effect=lambda name: False)
     judged = verdicts._judge(found)
@@ -235,10 +235,12 @@ def test_a_noise_floor_that_the_residuals_contradict_is_said_to_be_that_of_the_s
 ):
     """A verdict said 1.7 um of error beside a noise floor of 7.1 um."""
     found = SimpleNamespace(
-        noise=NoiseLevel(1.0, None, "stated (model file)", None),
+        rest=SimpleNamespace(
+            noise=NoiseLevel(1.0, None, "stated (model file)", None),
+            shape=SimpleNamespace(remarks=()),
+        ),
         final_estimate=SimpleNamespace(chi2_per_dof=chi2, dof=200),
         best=SimpleNamespace(fitted=SimpleNamespace(noise_floor=Summary(position_rms=7e-6))),
-        shape=SimpleNamespace(remarks=()),
     )
     assert _describe_noise_floor(found) == words
     remarks = [f"by the residuals, {QUIETER}"] if chi2 < 1 else []
@@ -262,18 +264,7 @@ def test_a_gear_of_20_teeth_is_not_taken_for_one_of_10(seed):
 
 def findings_of(found):
     """What the verdict of a diagnosis judges, without doubts, rivals and laws."""
-    return Findings(
-        base=found.base,
-        best=found.best,
-        chi2_before=found.base.fitted.estimate.chi2_per_dof,
-        noise=found.noise,
-        shape=found.noise_shape,
-        structure=found.structure,
-        held=0.0,
-        swaps={},
-        refused=(),
-        robot_or_device=(),
-    )
+    return replace(found.findings, doubts=Doubts(), probability={}, laws={})
 
 
 def test_residuals_with_a_law_are_not_at_noise_however_large_the_noise_may_be():
@@ -294,20 +285,21 @@ def test_what_no_robot_has_is_no_objection_where_nothing_is_left():
     found = diagnose(MODEL, data)
     assert (found.verdict.word, found.left) == ("explained", "no")
     words = "hysteresis would explain the error better, but no robot has so much of it"
-    findings = replace(findings_of(found), outdone=(words,))
+    findings = replace(findings_of(found), doubts=Doubts(outdone=(words,)))
     assert judge(findings).word == "explained"
     assert "nothing else is left" not in judge(findings).summary
     # A doubt about the size alone does not contradict that all of the error is accounted for.
     size = UnusualSize("backlash.joint1", 9e-3, 0.0, 3e-3, "rad")
     summary = found.best.fitted.held_out.summary
     worn = UnusualEffect("backlash", (size,), None, summary, None, True)
-    doubted = judge(replace(findings, unusual=(worn,)))
+    doubted = judge(replace(findings, doubts=replace(findings.doubts, unusual=(worn,))))
     assert doubted.word == "partly_explained"
     words_of_size = "; nothing else is left, but backlash is larger than usual. Error at"
     assert words_of_size in doubted.summary
-    device = judge(replace(findings, robot_or_device=("backlash",)))
+    unclear = replace(findings.doubts, robot_or_device=("backlash",))
+    device = judge(replace(findings, doubts=unclear))
     assert "nothing else is left, but the robot or the measuring device may be" in device.summary
     on_payload = SimpleNamespace(description="the residuals depend on the payload")
-    doubtful = judge(replace(findings, remaining=on_payload))
+    doubtful = judge(replace(findings, rest=replace(findings.rest, condition=on_payload)))
     assert doubtful.word == "partly_explained"
     assert words in doubtful.against
