@@ -161,8 +161,12 @@ class Sum:
             for first in effects[:MAX_FIRST]:  # each explains part of what the one imitates
                 beside = self.evidence((*rest, first.best), nu)
                 seconds = self.rank(beside, {*names, first.best.block.name})
-                if seconds and seconds[0].log_p > now.log_p:
-                    more = self._polish((*rest, first.best, seconds[0].best), nu)
+                if not seconds:
+                    continue
+                # Beside each other both may be another choice: in all joints, not in one alone.
+                both = self._settle((*rest, first.best, seconds[0].best), nu, 2)
+                if self.evidence(both, nu).log_p > now.log_p:
+                    more = self._polish(both, nu)
                     if likelier := self._if_likelier(self._prune(more, nu), now, nu):
                         return likelier
         return None
@@ -177,12 +181,17 @@ class Sum:
 
     def choose(self, blocks: Sequence[Block]) -> tuple[Choice, ...]:
         """The likeliest setting and size of each of these causes beside all others."""
-        chosen = tuple(Choice(block, 0, 1) for block in blocks)
+        return self._settle(tuple(Choice(block, 0, 1) for block in blocks), self.nu, len(blocks))
+
+    def _settle(self, chosen: tuple[Choice, ...], nu: float, count: int) -> tuple[Choice, ...]:
+        """The last `count` causes of a set, each with its likeliest setting and size beside all
+        others."""
         for _ in range(MAX_ROUNDS):
             before = chosen
-            for k, one in enumerate(chosen):
-                rest = self.evidence(chosen[:k] + chosen[k + 1 :], self.nu)
-                chosen = (*chosen[:k], rest.rank_one(one.block).best, *chosen[k + 1 :])
+            for k in range(len(chosen) - count, len(chosen)):
+                rest = self.evidence(chosen[:k] + chosen[k + 1 :], nu)
+                likeliest = rest.rank_one(chosen[k].block).best
+                chosen = (*chosen[:k], likeliest, *chosen[k + 1 :])
             if chosen == before:
                 break
         return chosen

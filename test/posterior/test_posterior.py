@@ -23,7 +23,7 @@ from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import new_model
-from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block, Stack
+from parallel_cal.posterior.blocks import EFFECT, LAW, LOG_ODDS, Block, Stack
 from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Sum
@@ -196,6 +196,29 @@ def test_what_is_not_there_yet_is_added_before_another_cause_takes_its_place():
     found = made.search(near)
     assert {one.block.name for one in found.chosen} == {"first", "second"}
     assert made.evidence(found.chosen, STATED).log_p > imitated
+
+
+@pytest.mark.parametrize(("gain", "bend"), [(10.0, 5.0), (30.0, 15.0)])
+def test_a_law_that_imitates_two_effects_gives_way_though_each_alone_hides_the_other(gain, bend):
+    """Without the bend, only the largest gain is seen, in one joint alone; and beside that, no bend
+    is likelier than a law that follows both (a hexapod on strings, whose spools fill)."""
+    rng = np.random.default_rng(0)
+    gains, bends = rng.standard_normal((2, 60, 3))
+    residual = gains @ [gain, 1.0, -1.0] + bends @ [bend, -bend, bend] + rng.standard_normal(60)
+    scene = Residual(residual)
+    usual = [np.eye(3), *np.eye(3)[:, :, None]]  # in all joints, or in one
+    effects = [
+        Block.of(scene, name, EFFECT, np.log(0.1), [own], [{}] * 4, 1, usual, in_one=3)
+        for name, own in (("gain", gains), ("bend", bends))
+    ]
+    follows = np.hstack([gains, bends, rng.standard_normal((60, 3))])
+    law = Block.of(scene, "law", LAW, np.log(0.1), [follows], [{}])
+    made = Sum(scene, Stack.of_alike([*effects, law]), UNKNOWN)
+    both, imitated = (made.evidence(made.choose(one), UNKNOWN).log_p for one in (effects, [law]))
+    assert both > imitated + 3
+    found = made.search()
+    assert {one.block.name for one in found.chosen} == {"gain", "bend"}
+    assert min(found.probability["gain"], found.probability["bend"]) > 0.9
 
 
 def test_a_smooth_function_has_variance_one_and_the_stated_correlation():
