@@ -131,21 +131,24 @@ class Causes:
         beginning with what was found so near this problem; return the effects that describe the
         residual best, too.
 
-        Where an unknown law of the robot is likely, known effects imitate it at best. They are
-        chosen as if there were no such law, since the error may fall with them; their probability
-        tells what they are. A wave, or one whose settings were scanned, follows anything, and one
-        of the device takes an error of the robot away from it: they must be likely beside the law.
-        Beside noise that drifts, an effect of time is not told from it.
+        If those without laws are likelier than what was found among all, the search begins there
+        again. Where an unknown law of the robot is likely, known effects imitate it at best. They
+        are chosen as if there were no such law, since the error may fall with them; their
+        probability tells what they are. A wave, or one whose settings were scanned, follows
+        anything, and one of the device takes an error of the robot away from it: they must be
+        likely beside the law. Beside noise that drifts, an effect of time is not told from it.
         """
         possible = replace(self.sum, left_out=frozenset(refuted))
         posterior, possible = self._search_with_knocks(possible, self._resume(possible, near))
         described = posterior
-        likely = {one.block.name for one in posterior.chosen}
-        if any(posterior.kinds[name] == LAW for name in likely):
+        if any(one.block.kind == LAW for one in posterior.chosen):
             laws = {block.name for block in possible.blocks if block.kind == LAW}
             without = replace(possible, left_out=laws | {*refuted})
             start = self._resume(without, near_without_laws) or posterior.chosen
             described = self._search(without, start)
+            if possible.judge(described) > possible.judge(posterior):
+                posterior, possible = self._search_with_knocks(possible, described.chosen)
+        likely = {one.block.name for one in posterior.chosen}
         drifts = any(one.block.kind == DRIFT for one in described.chosen)
 
         def is_named(one: Choice) -> bool:

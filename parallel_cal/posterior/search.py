@@ -199,6 +199,10 @@ class Sum:
     def total(self, chosen: Sequence[Choice], nu: float) -> float:
         return self.evidence(chosen, nu).log_p + self._doubt(nu)
 
+    def judge(self, found: Posterior) -> float:
+        """The log posterior of the set that a search found."""
+        return self.total(found.chosen, found.nu)
+
     def _refined(self, beside: Evidence, best: Choice) -> Choice:
         return self.refine(beside, best) if self.refine else best
 

@@ -1,6 +1,7 @@
 """The sum made again about a fit, and the fits that prove what it names."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from findings import hiding
 from virtual_setups import random_delta
 
 from parallel_cal.causes.effects import list_effects_to_test
+from parallel_cal.causes.unknown_laws import LOG_PRIOR
 from parallel_cal.diagnosis import causes as linear
 from parallel_cal.diagnosis import explanation
 from parallel_cal.diagnosis.addition import find_addition, with_given_model_of
@@ -19,6 +21,8 @@ from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.identification.fit import fit, fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import new_model
+from parallel_cal.posterior.blocks import EFFECT, LAW, Block
+from parallel_cal.posterior.evidence import STATED
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.summary import summarize
@@ -89,6 +93,35 @@ def test_a_sum_made_again_begins_with_the_numbers_that_were_found():
     assert settings not in [*again.block.scanned.settings]  # between those that were scanned
     assert causes._resume(replace(causes.sum, left_out={gear.name}), described.chosen) == ()
     assert causes.explain((), posterior.chosen, described.chosen)[2] == (gear,)
+
+
+def test_a_law_gives_way_to_three_effects_that_are_likelier_without_it(monkeypatch):
+    """No two of the three explain more than the law, which follows all of them."""
+    rng = np.random.default_rng(8)
+    own = rng.standard_normal((3, 120, 3))
+    residual = np.einsum("knj,kj->n", own, 5.0 * rng.standard_normal((3, 3)))
+    residual += rng.standard_normal(120)
+    scene = SimpleNamespace(
+        residual=residual, dof=120, project_off_geometry=lambda columns: columns, dataset=None
+    )
+    names = ("encoder_gain", "spool_buildup", "joint_compliance")
+    effects = [
+        Block.of(scene, name, EFFECT, np.log(1 / 30), [columns], [{}])
+        for name, columns in zip(names, own, strict=True)
+    ]
+    follows = np.hstack([*own, rng.standard_normal((120, 12))])
+    law = Block.of(scene, "law", LAW, LOG_PRIOR, [follows], [{}])
+    monkeypatch.setattr(
+        Causes,
+        "_search_with_knocks",
+        lambda self, possible, start=(): (self._search(possible, start), possible),
+    )
+    causes = Causes(scene, [*effects, law], STATED, 1.0, 120)
+    stuck = causes.sum.search()
+    assert [one.block.name for one in stuck.chosen] == ["law"]
+    found, _, named = causes.explain()
+    assert causes.sum.judge(found) > causes.sum.judge(stuck) + 3
+    assert {one.name for one in named} == {one.block.name for one in found.chosen} == {*names}
 
 
 def test_an_effect_is_added_beside_those_that_the_compared_model_does_not_have(search, base):
