@@ -43,6 +43,7 @@ def run(folder, zeros=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0), goal=GOAL, **more)
     return outcome
 
 
+@pytest.mark.wide
 def test_without_a_drift_the_model_is_kept_before_all_poses_are_measured(tmp_path):
     heard = []
     outcome = run(tmp_path, tell=heard.append)
@@ -65,6 +66,7 @@ def test_a_zero_that_jumped_updates_the_model(tmp_path):
     assert errors[1] < 0.25 * errors[0]
 
 
+@pytest.mark.wide
 def test_a_tracker_that_was_moved_changes_no_model(tmp_path):
     outcome = run(tmp_path, shift=(0.4e-3, 0.4e-3, -0.4e-3))
     assert (outcome.success, outcome.verdict, outcome.text) == (True, "device_moved", "")
@@ -95,6 +97,7 @@ def test_a_limit_ends_an_update_that_is_not_decided(tmp_path):
     assert outcome.message.startswith("2 poses were measured, the maximum that was allowed: ")
 
 
+@pytest.mark.wide
 def test_an_update_goes_on_where_it_stopped_and_not_as_another_campaign(tmp_path, monkeypatch):
     control = Control()
     seen, documents, document = [], [], Recheck.document

@@ -121,6 +121,7 @@ def test_the_parts_of_many_samples_share_them_with_all_visits_of_a_pose(many):
     assert len(list(scene.divide(10))) == 6  # of 100 poses each
 
 
+@pytest.mark.wide
 def test_add_finds_knocked_samples_in_every_part_of_many_that_a_large_effect_hides(
     many, monkeypatch
 ):

@@ -34,6 +34,7 @@ def with_ripples(ratios, seed, poses=120, size=0.6e-3):
     return model, replace(data, q=read)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("ratios", [(9.0, 15.0, 15.0), (7.3, 21.0, 33.0)])
 def test_gears_that_differ_have_their_own_ratios(ratios):
     """A ratio of 7.5 was named for gears of 9 and 15, and nothing for three ratios."""
@@ -53,6 +54,7 @@ def test_gears_that_differ_have_their_own_ratios(ratios):
     assert found.left == "no"
 
 
+@pytest.mark.wide
 def test_equal_gears_have_one_ratio():
     model, data = with_ripples((12.4, 12.4, 12.4), 3)
     found = pc.diagnose(model, data, joint_sigma=1.2e-4)
@@ -72,6 +74,7 @@ def with_screws(leads):
     return model, data
 
 
+@pytest.mark.wide
 def test_screws_of_one_robot_may_have_different_leads():
     """Two axes with a lead of 5 mm, and one with 8 mm."""
     model, data = with_screws(LEADS)
@@ -120,6 +123,7 @@ def test_each_joint_that_differs_is_named_with_its_number():
     assert words.endswith("; ratio of joint1 11; ratio of joint2 12; ratio of joint3 13)")
 
 
+@pytest.mark.wide
 def test_an_addition_without_numbers_searches_for_those_of_each_joint():
     """It took one ratio for all, and left no way on: the effect was in the model then."""
     model, data = with_ripples((9.0, 15.0, 15.0), 2)
@@ -178,6 +182,7 @@ def test_numbers_are_sought_to_the_peak_that_a_search_without_derivatives_finds(
     assert away == pytest.approx([0, 0], abs=0.05)
 
 
+@pytest.mark.wide
 def test_the_tables_of_a_report_list_the_numbers_that_joints_have():
     """They listed `gear ratio of its own, or 0 of joint 1`, with the value 0."""
     name = "gear_transmission_error"
@@ -199,6 +204,7 @@ def test_the_tables_of_a_report_list_the_numbers_that_joints_have():
 GEARS = "gear_transmission_error"
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("ratios", "other"),
     [((9.0, 15.0, 9.0), {"joint2.ratio": 15.0}), ((12.4, 12.4, 12.4), {})],
@@ -243,6 +249,7 @@ def test_a_screw_that_differs_is_found_in_a_model_that_has_the_effect():
     assert named.settings == pytest.approx({"joint3.lead": 8.2e-3}, rel=0.02)
 
 
+@pytest.mark.wide
 def test_another_effect_is_not_taken_for_a_number_of_one_joint():
     model, data = with_ripples((12.4, 12.4, 12.4), 6)
     data = replace(data, q=data.q + 3e-3 * np.sin(2 * data.q + 0.3) * np.array([0, 1, 0]))
@@ -260,6 +267,7 @@ def test_an_effect_that_the_model_has_takes_only_the_number_of_a_joint():
             has.with_effect(GEARS, wrong)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("numbers", [{"ratio": 23.0}, {"ratio": 23.0, "joint2.ratio": 34.0}])
 def test_several_joints_whose_numbers_differ_in_a_model_are_found_one_after_the_other(numbers):
     """It failed where two joints were likely; a stated number of a joint that is wrong was not

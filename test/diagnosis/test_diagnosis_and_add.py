@@ -52,6 +52,7 @@ def hexapod():
     return fitted(model, data).model, data
 
 
+@pytest.mark.wide
 def test_effects_may_be_added_together_if_they_may_be_added_one_after_the_other(hexapod):
     """Next to the residuals of the geometry, which contain the gains, an effect of the device
     explains more than the spools; next to the gains it does not."""
@@ -71,6 +72,7 @@ def test_what_is_named_for_a_real_hexapod_is_accepted_and_reaches_the_named_erro
     assert held_out(found.best.fitted) == pytest.approx(held_out(step.result), rel=1e-6)
 
 
+@pytest.mark.wide
 def test_the_named_error_is_reached_although_the_noise_is_estimated_anew_with_the_effect():
     """With the noise that the geometry alone leaves, the error would be half a per cent smaller."""
     model = read_model(ROOT / "config" / "hangprinter_hp4.yaml")
@@ -133,6 +135,7 @@ def test_what_only_another_model_took_for_knocked_is_taken_back():
     assert find_innocent_samples(far, [3, 5, 7, 9]) == {5, 9}
 
 
+@pytest.mark.wide
 def test_the_next_command_excludes_the_samples_that_the_owner_excluded():
     model = read_model(MOCK_UP)
     data = load_dataset(ROOT / "bags" / "delta_backlash", joints=model.joints)
@@ -198,6 +201,7 @@ def test_exchanged_columns_of_lines_are_still_named():
         fitted(model, data)
 
 
+@pytest.mark.wide
 def test_an_effect_is_added_if_it_is_likelier_than_noise_that_happens_to_look_like_it():
     """Both lower the error at held-out poses; a tenth of a sigma in 150 poses may do so by
     chance, a fifth of a sigma does not."""

@@ -131,6 +131,7 @@ def test_what_is_certain_among_all_causes_is_not_doubted(monkeypatch):
     assert find_doubtful_effects(scene, chosen) == ["encoder_eccentricity"]
 
 
+@pytest.mark.wide
 def test_an_effect_that_the_device_may_cause_is_added_only_with_force(refracted):
     with pytest.raises(FitError, match="the measuring device may cause"):
         add(new_model("delta54"), "encoder_eccentricity", refracted)

@@ -203,6 +203,7 @@ def test_the_cure_of_an_unmeasured_move_is_the_length_that_nobody_measured(measu
     assert cure in str(export._moves_too_far([Path("printer.cfg")], movement, heights))
 
 
+@pytest.mark.wide
 def test_a_point_that_the_new_numbers_do_not_reach_does_not_count(tmp_path, monkeypatch):
     """The points of the bed reach a little further than touches that are more on one side. At the
     edge of reach of a real printer that ended an export with a traceback."""

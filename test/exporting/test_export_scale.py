@@ -140,6 +140,7 @@ UNSTATED["marlin_equal_rods"] = ("Configuration.h", FORMULA)
 FIELDS = dict.fromkeys(FILES, "M92") | {"klipper": "rotation_distance"}
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", FILES)
 def test_steps_that_no_file_or_no_model_states_are_not_written(name, tmp_path):
     path, model = stated(tmp_path, name)

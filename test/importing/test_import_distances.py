@@ -118,6 +118,7 @@ def test_distances_are_readings_at_their_ends(printer):
     assert ends.mean() / MM == pytest.approx(0.0, abs=1e-4)  # the middle of a side, along it
 
 
+@pytest.mark.wide
 def test_a_fit_of_distances_corrects_the_shape_of_printed_parts(printer, capsys, monkeypatch):
     file, real, nominal = printer
     monkeypatch.chdir(file.parent)
@@ -130,6 +131,7 @@ def test_a_fit_of_distances_corrects_the_shape_of_printed_parts(printer, capsys,
     assert after < 0.3 * before
 
 
+@pytest.mark.wide
 def test_without_distances_nothing_shows_x_and_y(printer, capsys, monkeypatch):
     file, *_ = printer
     file.write_text(file.read_text().partition("distance0 =")[0])
@@ -248,6 +250,7 @@ def test_the_error_of_a_distance_does_not_depend_on_its_middle(printer):
     np.testing.assert_allclose(off, [-expected, expected], atol=1e-7)
 
 
+@pytest.mark.wide
 def test_a_mesh_beside_distances_leaves_micrometres(tmp_path, capsys, monkeypatch):
     real, nominal = vf.Klipper(config(REAL)), vf.Klipper(config(NUMBERS))
     file = tmp_path / "printer.cfg"

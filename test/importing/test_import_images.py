@@ -149,6 +149,7 @@ def test_unusable_images_are_listed_with_the_reason_and_their_rows_are_excluded(
     assert reasons["row without a usable image"][0] == 4
 
 
+@pytest.mark.wide
 def test_a_board_of_another_size_is_named_before_any_sample_is_made(folder):
     with pytest.raises(ImageError, match=r"a board of 8 columns and at least 6 rows .* 9x6"):
         samples("images", [folder], joints=table(folder, range(N)), board="9x6")

@@ -212,6 +212,7 @@ def test_a_sled_that_the_firmware_does_not_know_is_refused(tmp_path):
             export(new_model(load_mechanism("hanging_sled", **options)), "maslow", tmp_path)
 
 
+@pytest.mark.wide
 def test_what_the_firmware_has_no_number_for_is_named(tmp_path):
     model = new_model(load_mechanism("hanging_sled", retracted=0))
     values = model.values.copy()

@@ -109,6 +109,7 @@ def test_a_firmware_whose_files_hold_no_touches_names_the_table(tmp_path):
         samples("repetier", written(tmp_path, [(0, 0, 0)], REPORT, "printer.log"))
 
 
+@pytest.mark.wide
 def test_a_bed_far_below_the_motors_becomes_flat_by_the_firmwares_own_formula(
     tmp_path, monkeypatch
 ):

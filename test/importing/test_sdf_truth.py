@@ -157,6 +157,7 @@ def placed_by(frame):
     )
 
 
+@pytest.mark.wide
 def test_a_model_that_a_link_places_stays_there_when_the_link_moves(tmp_path):
     path = tmp_path / "m.sdf"
     path.write_text(placed_by("left_crank"))

@@ -151,6 +151,7 @@ def test_effects_on_joints_are_seen():
     assert homotopy.direct_all(model, q).position == pytest.approx(plain.position, abs=1e-9)
 
 
+@pytest.mark.wide
 def test_a_stewart_platform_is_solved_from_its_lengths():
     model = new_model("stewart42")
     q = np.array(model.mechanism.home.joints) + 0.01 * np.arange(6)
@@ -208,6 +209,7 @@ def test_size_does_not_matter(size):
     assert other.real.position / size == pytest.approx(found.real.position)
 
 
+@pytest.mark.wide
 def test_flat_platforms_have_forty_poses_and_symmetric_ones_fewer():
     C, B, _, r, R = platform(np.random.default_rng(9))
     C[:, 2] = B[:, 2] = 0

@@ -47,6 +47,7 @@ def test_the_joints_of_an_answer_lead_back_to_its_pose(name):
     assert max(distance.max(), angle.max()) < 1e-6
 
 
+@pytest.mark.wide
 def test_another_branch_outweighs_joints_outside_their_limits():
     """A wrong assembly is wrong whatever the limits."""
     model = pc.new_model("delta54")
@@ -61,6 +62,7 @@ def test_another_branch_outweighs_joints_outside_their_limits():
     assert ((found.status == Status.OTHER_BRANCH) & outside).sum() > 2
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", ["argos9", "argos27"])
 def test_an_orientation_beyond_a_singularity_is_no_answer(name):
     """The closed form has an orientation at all readings."""

@@ -73,6 +73,7 @@ def walk_ankle(q, steps=150):
 AROUND = np.random.default_rng(0).uniform(-np.pi, np.pi, (120, 2))
 
 
+@pytest.mark.wide
 def test_an_ankle_whose_cranks_turn_around_stays_in_the_mode_of_home():
     """At 7 of 94 readings it was another mode, in which the determinant has the sign of home."""
     model = make_chain(shelf.ankle_2rsu())
@@ -278,6 +279,7 @@ def test_a_search_ends_soon_where_nothing_is_to_be_found():
 # ------------------------------------------------------------------ two flat parallelograms
 
 
+@pytest.mark.wide
 def test_each_loop_in_series_stays_on_its_own_side():
     """Two parallelograms were flat on the way from home to 3 of 200 readings: the sign of the whole
     determinant is that of home again there, and the signs of both loops are not."""
@@ -319,6 +321,7 @@ def test_a_path_ends_where_a_parallelogram_is_flat():
 # ------------------------------------------------------------------ closed forms
 
 
+@pytest.mark.wide
 def test_readings_of_an_argos_lead_where_small_steps_lead():
     """Far from home another orientation was nearer to it."""
     model = pc.new_model("argos9")

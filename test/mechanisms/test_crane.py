@@ -65,6 +65,7 @@ def check_build_up(better):
     assert abs(better.values[found] - virtual_crane.BUILDUP) < 3 * sigma
 
 
+@pytest.mark.wide
 def test_a_platform_on_eight_lines_goes_from_its_table_to_a_better_model(tmp_path, capsys):
     file, samples = drawn_and_measured(tmp_path)
     drawn = read_model(file)
@@ -86,6 +87,7 @@ def test_the_commands_lead_from_its_table_to_a_better_model(tmp_path, capsys):
     check_build_up(better)
 
 
+@pytest.mark.wide
 def test_exchanged_columns_of_eight_lines_are_named(tmp_path, capsys):
     """Drums that are wrong by up to 3 % make lengths contradict each other: many quick solutions
     of the direct problem do not converge."""
@@ -121,6 +123,7 @@ def test_a_drive_for_joints_that_are_angles_is_refused(tmp_path, capsys):
     assert not (tmp_path / "delta.yaml").exists()
 
 
+@pytest.mark.wide
 def test_a_model_of_another_machine_is_told_apart_from_one_that_needs_no_change(
     tmp_path, capsys, monkeypatch
 ):

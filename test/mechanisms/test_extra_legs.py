@@ -205,6 +205,7 @@ def disagreeing(n, seed, sigma):
     return np.array(readings)
 
 
+@pytest.mark.wide
 def test_the_residual_of_more_legs_than_freedoms_is_as_large_as_noise_and_tolerances_explain():
     kinematics, sigma = Kinematics(drawn(8)), 2e-3
     found = kinematics.direct(disagreeing(200, 5, sigma))

@@ -109,6 +109,7 @@ def strayed(model, share=1.0):
     return model.with_values(model.values + share * model.table.tolerance * step)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_redundant_loops_are_closed_where_the_squares_of_their_gaps_are_least(share):
     model = strayed(wrist(), share)

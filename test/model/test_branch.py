@@ -86,6 +86,7 @@ def test_iterations_that_end_on_the_other_side_of_a_singularity_do_not_settle():
     assert settled.tolist() == [True, False]
 
 
+@pytest.mark.wide
 def test_a_linear_deltas_platform_stays_below_its_carriages():
     model = new_model("linear_delta")  # offset 100 mm, rods 250 mm
     assert Kinematics(model).direct([0.08] * 3).position[2] == pytest.approx(
@@ -143,6 +144,7 @@ def test_a_start_on_another_branch_is_kept_and_a_jump_from_a_start_is_undone():
     assert far.position[2] > 0
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", ["linear_delta", "stewart42"])
 def test_exported_c_answers_as_python_at_any_reading(name, tmp_path: Path):
     model = new_model(name)

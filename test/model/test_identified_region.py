@@ -94,6 +94,7 @@ def test_add_says_for_which_region_its_gain_was_shown(step):
     assert describe_workspace_excess(model) == ""
 
 
+@pytest.mark.wide
 def test_a_plan_an_export_and_a_prediction_beyond_the_region_give_one_warning(
     step, tmp_path, capsys
 ):

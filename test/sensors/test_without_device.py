@@ -139,6 +139,7 @@ def arm_in_sockets(seed, centres, n=80, seat=50e-6):
     return model, data, unseen, np.array([forward(x) for x in unseen]), ball
 
 
+@pytest.mark.wide
 def test_two_sockets_at_a_known_distance_calibrate_an_arm_of_another_hand():
     model, data, q, seen, ball = arm_in_sockets(2, [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0)])
     result = pc.fit(model, data)

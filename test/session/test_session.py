@@ -174,6 +174,7 @@ def _branches(folder, names):
         session.start_branch(name)
 
 
+@pytest.mark.wide
 def test_two_that_write_at_once_lose_nothing(session):
     names = [[f"{who}{k}" for k in range(20)] for who in "ab"]
     context = multiprocessing.get_context("spawn")

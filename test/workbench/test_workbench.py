@@ -275,6 +275,7 @@ def test_a_port_in_use_is_refused_before_a_session_is_made(tmp_path, capsys):
     assert not folder.exists()
 
 
+@pytest.mark.wide
 def test_a_second_server_of_a_session_is_refused_and_a_dead_one_leaves_no_lock(folder, tmp_path):
     first = Served(folder)
     try:
