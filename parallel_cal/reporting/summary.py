@@ -265,9 +265,11 @@ def _describe_largest_joint(model: Model, effect: str) -> str:
             sizes[joint] = math.hypot(sizes[joint], value)
     if len(sizes) < 2 or units not in ({"m"}, {"rad"}):
         return ""
-    unit, factor = error_unit(units.pop())
+    unit, factor = error_unit(si := units.pop())
     *_, second, first = sorted(sizes, key=sizes.__getitem__)
-    most, others = (f"{factor * sizes[name]:.3g}" for name in (first, second))
+    if factor * sizes[first] >= 1000:  # no error, but a dimension
+        unit, factor = value_unit(si)
+    most, others = (number(sizes[name], factor) for name in (first, second))
     return f"largest in {first}: {most} {unit.replace('µ', 'u')}, others up to {others}"
 
 

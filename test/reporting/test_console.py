@@ -246,6 +246,11 @@ def test_the_joint_in_which_an_effect_is_largest_is_named_with_its_size():
     assert (ratio.nominal, ratio.moved_tolerances) == (80.0, 0.0)
     cable = new_model("delta54", effects=("thermal_expansion",))
     assert describe_effect(cable, "thermal_expansion") == "thermal_expansion"
+    legs = new_model("stewart42").with_effect("universal_joint_offset")
+    values = legs.values.copy()
+    values[legs.table.index_of("universal_joint_offset.leg4.foot")] = 0.0105
+    said = describe_effect(legs.with_values(values), "universal_joint_offset")
+    assert said == "universal_joint_offset (largest in leg4: 10.5 mm, others up to 0)"
 
 
 def test_noise_that_only_revisits_show_bounds_what_may_be_missing():
