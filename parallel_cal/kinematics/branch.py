@@ -19,6 +19,7 @@ MAX_BEND = 0.5  # change of the rate of motion from one step to the next, of thi
 PATH_GROWTH = 1.5  # of a step that stayed on the branch
 MAX_PATH_STEPS = 100  # as many as a descent may take; most paths need fewer than 30
 SAME_SOLUTION = 1e-5  # m, rad: two ends of a path that differ by less are one solution
+MAX_JOINED_GAP_M = 1e-3  # of a closure; with levers of 100 m, a smaller one may be SAME_SOLUTION
 
 
 def follow_from_home(

@@ -7,7 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.kinematics.branch import follow_from_home, is_same_solution
+from parallel_cal.kinematics.branch import (
+    MAX_JOINED_GAP_M,
+    follow_from_home,
+    is_same_solution,
+)
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import limits_in
 from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE, Status
@@ -76,7 +80,9 @@ def _find_joined(problem: Problem, other: Problem, ends: Iterable[End], row: np.
                 return x, residual, status
             if _is_singular(problem, x, row):
                 return x, residual, Status.SINGULAR
-            if problem.is_on_home_side(x, row):
+            # To readings that contradict each other, of more joints than freedoms, no path of poses
+            # leads: it ends with others, which do not.
+            if residual < MAX_JOINED_GAP_M and problem.is_on_home_side(x, row):
                 joined, (end,) = follow_from_home(other, x[None], row[None], problem)
                 if joined[0] and is_same_solution(problem.model, end, x):
                     return x, residual, status

@@ -11,8 +11,10 @@ import virtual_crane
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli import main as cli
 from parallel_cal.identification import column_doubts
+from parallel_cal.kinematics import home_branch
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.steps import fitted
@@ -151,3 +153,22 @@ def test_a_model_of_another_machine_is_told_apart_from_one_that_needs_no_change(
     assert int(share) > 50  # in a fit to what no such robot can do, the number says no more
     assert "the drive (spool, screw or belt) of each joint" in words
     assert len(judged) == 1
+
+
+def test_no_path_of_poses_is_sought_to_readings_that_contradict_each_other(monkeypatch):
+    """It ends with the readings of a pose, and these do not contradict each other."""
+    anchors = virtual_crane.ANCHORS.round(3).tolist()
+    model = new_model(load_mechanism("cable", anchors=anchors, radius=0.05))
+    robot = Kinematics(model)
+    there = robot.inverse(model.mechanism.sample(6, np.random.default_rng(0)))
+    sought, follow = [], home_branch.follow_from_home
+
+    def follow_counted(problem, *given):
+        sought.append(problem.name)
+        return follow(problem, *given)
+
+    monkeypatch.setattr(home_branch, "follow_from_home", follow_counted)
+    found = robot.direct(-there.joints)
+    assert sought == ["direct"]
+    assert (found.residual > 5e-3).all()
+    assert not found.ok.any()
