@@ -170,5 +170,7 @@ def micro(text: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """Make a sentence of a message: capital letter, µm, full stop."""
-    return text[:1].upper() + micro(text[1:])
+    """Make a sentence of a message: capital letter, µm, full stop. A name that people type, such as
+    `joint_compliance`, stays as it is."""
+    is_typed = "_" in text.partition(" ")[0]
+    return micro(text) if is_typed else text[:1].upper() + micro(text[1:])

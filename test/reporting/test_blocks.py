@@ -4,7 +4,7 @@ import json
 
 from parallel_cal.reporting.blocks import Cell, Column, Number, Table, as_rows, as_text
 from parallel_cal.reporting.contents import DescribedParameter
-from parallel_cal.reporting.markup import as_html
+from parallel_cal.reporting.markup import as_html, sentence
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.reporting.tables import parameter_table
 
@@ -111,3 +111,8 @@ def test_a_fixed_parameter_has_no_sigma():
         "-",
         "mm",
     ]
+
+
+def test_a_sentence_begins_with_a_capital_letter_unless_with_a_name_that_people_type():
+    assert sentence("backlash helps: 3 um") == "Backlash helps: 3 µm."
+    assert sentence("encoder_gain.leg1.gain is large.") == "encoder_gain.leg1.gain is large."
