@@ -62,9 +62,8 @@ class Outcome(goals.Outcome):
     message : str
         Why the campaign ended.
     text : str
-        The model file's text if the model is proven better; else empty.
-    model : Model or None
-        The model of `text`.
+        The model file's text if the model is proven better; else empty. The property `model` is
+        the model of it.
     document : dict
         The JSON document of `parallel-cal calibrate`.
     ended : bool
