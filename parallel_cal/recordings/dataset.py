@@ -292,14 +292,16 @@ class Dataset:
         )
 
     def thinned(self, most: int) -> Dataset:
-        """Return about `most` samples: every visit of poses that are evenly spread over the
-        recording. The samples keep their numbers."""
+        """Return about `most` samples, and no more unless one pose has them: every visit of poses
+        that are evenly spread over the recording. The samples keep their numbers."""
         if len(self) <= most:
             return self
-        poses = np.unique(self.pose_id)
-        count = max(1, most * len(poses) // len(self))
-        chosen = poses[np.linspace(0, len(poses) - 1, count).astype(int)]
-        return self.select_numbered(np.isin(self.pose_id, chosen))
+        poses, visits = np.unique(self.pose_id, return_counts=True)
+        for count in range(max(1, most * len(poses) // len(self)), 0, -1):
+            chosen = np.linspace(0, len(poses) - 1, count).astype(int)
+            if visits[chosen].sum() <= most:  # else a part would be thinned again
+                break
+        return self.select_numbered(np.isin(self.pose_id, poses[chosen]))
 
     def select_numbered(self, kept: ArrayLike) -> Dataset:
         """Return samples as `select` does, with the numbers that they have now."""

@@ -272,6 +272,9 @@ def test_a_part_of_many_samples_has_all_visits_of_its_poses_and_their_numbers():
     part = whole.thinned(40)
     assert 30 <= len(part) <= 50
     assert whole.thinned(500) is whole
+    for most in range(20, 110, 5):  # who thins a part again gets the same part
+        part_of_most = whole.thinned(most)
+        assert part_of_most.thinned(most) is part_of_most
     for number, pose in zip(part.numbers, part.pose_id, strict=True):
         np.testing.assert_array_equal(
             part.q[part.numbers == number], whole.q[whole.numbers == number]
