@@ -259,7 +259,7 @@ class _Setup:
             if innocent := find_innocent_samples(others.knocked, more):
                 return self.diagnose_without(aside, why, seen, trusted | innocent)
             return others
-        found = _diagnose_trusted(self, explanation.search, explanation, find)
+        found = _diagnose_trusted(self, explanation, find)
         if seen is None:
             return found
         best = found.best.fitted.model
@@ -334,14 +334,10 @@ def refit_with_equal_weights(
     return refit
 
 
-def _diagnose_trusted(
-    setup: _Setup,
-    search: Search,
-    found: Explanation,
-    find: FindAddition,
-) -> Diagnosis:
+def _diagnose_trusted(setup: _Setup, found: Explanation, find: FindAddition) -> Diagnosis:
     """Diagnose samples of which none is set aside; `find` returns what `add` makes of effects."""
-    base, names, report = search.fit(), setup.names, setup.report
+    search, names, report = found.search, setup.names, setup.report
+    base = search.fit()
     ranked = tuple(_rank(base, names, found.settings, report))
     report("judging the effects as add does", 0.7)
     confirmed = Confirmed.of(search, found, find)
@@ -361,16 +357,10 @@ def _diagnose_trusted(
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
         like_drift=found.like_drift,
     )
-    probability = dict(zip(best.names, found.missing(best.names), strict=True))
-    findings = Findings(
-        base,
-        best,
-        chi2_before(base, best, ranked),
-        rest,
-        doubts,
-        {name: one["probability"] for name, one in probability.items()},
-        found.laws,
-    )
+    missing = zip(best.names, found.missing(best.names), strict=True)
+    probability = {name: one["probability"] for name, one in missing}
+    before = chi2_before(base, best, ranked)
+    findings = Findings(base, best, before, rest, doubts, probability, found.laws)
     against = _list_refusals(best, found, confirmed, ambiguous)
     return Diagnosis(
         ready=setup.ready,

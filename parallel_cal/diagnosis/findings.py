@@ -43,12 +43,6 @@ class Remainder:
         condition = find_remaining_condition(scene, shape)
         return cls(residual_field, structure, shape, noise, condition)
 
-    def exceeds_noise(self, after: Estimate) -> bool:
-        """Whether the residuals of a fit are too large for the noise, or have a structure that
-        noise has not."""
-        too_large = after.chi2_per_dof > self.noise.band(after.dof)[1]
-        return too_large or self.structure.has_structure or self.condition is not None
-
 
 @dataclass(frozen=True)
 class Doubts:
@@ -130,7 +124,10 @@ class Findings:
 
     @property
     def leaves_more_than_noise(self) -> bool:
-        return self.rest.exceeds_noise(self.final_estimate)
+        """Whether the residuals of the best are too large for the noise, or have a structure that
+        noise has not."""
+        too_large = self.final_estimate.chi2_per_dof > self.high_after
+        return too_large or self.rest.structure.has_structure or self.rest.condition is not None
 
     @property
     def sides_from_order(self) -> bool:

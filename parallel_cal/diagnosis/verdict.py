@@ -98,14 +98,14 @@ def _judge(found: Findings) -> Verdict:
         verb = "help" if len(found.best.chosen) > 1 else "helps"
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
         shows = found.rest.structure.has_structure or found.laws
-        rest = ", but the residuals still have structure" if shows else ""
+        but = ", but the residuals still have structure" if shows else ""
         touched = is_of_touches(found.best.fitted.dataset)
         unsure = NO_NOISE.format(again="touch points" if touched else "visit poses")
         word = "cannot_know"
         if found.is_sure or found.laws:  # a law stands out of noise of any size by its shape
             word = "partly_explained" if names else "unexplained"
         remarks = () if found.laws else (unsure,)
-        return Verdict(word, f"{helps}{rest}. {errors}", share, remarks=remarks)
+        return Verdict(word, f"{helps}{but}. {errors}", share, remarks=remarks)
     if found.rest.field.held > MAX_HELD_ERROR_RATIO:
         return Verdict(
             "unexplained",
