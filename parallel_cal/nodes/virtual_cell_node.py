@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,13 @@ from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.nodes.beat import Beat
 from parallel_cal.nodes.conversions import joint_order, pose_message
 from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, Changes, Setting, absolute, declare
 from parallel_cal.nodes.rendering import BOARD, SQUARE_M
-from parallel_cal.nodes.run import create_steady_timer, run
+from parallel_cal.nodes.run import run
 from parallel_cal.virtual.board_camera import usual_camera
-from parallel_cal.virtual.cell import Box, Cell
+from parallel_cal.virtual.cell import Box, Cell, Messages
 from parallel_cal.virtual.kinds import words_of
 from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.tracker import Tracker
@@ -134,11 +136,12 @@ class VirtualCellNode(Node):
             self._poses = self.create_publisher(PoseWithCovarianceStamped, "measured_pose", many)
         self._air = self.create_publisher(Temperature, "temperature", many)
         self._load = self.create_publisher(InertiaStamped, "payload", LATCHED)
+        self._moving = Lock()  # held by who changes the cell
         self.create_subscription(
             JointTrajectory, "joint_trajectory", self._on_trajectory, 10, callback_group=group
         )
         tick = TICK if self._value("rate") <= FAST else 2 * TICK
-        create_steady_timer(tick, self, self._tick, group)
+        self._beat = Beat(self, tick, self._tick)
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
@@ -219,7 +222,9 @@ class VirtualCellNode(Node):
     def _on_trajectory(self, trajectory: JointTrajectory) -> None:
         """Follow a trajectory at once, as joint_trajectory_controller does."""
         try:
-            self._cell.follow(*_read_points(trajectory, self._cell.machine.joints))
+            points = _read_points(trajectory, self._cell.machine.joints)
+            with self._moving:
+                self._cell.follow(*points)
         except SolveError as error:
             self.get_logger().error(f"trajectory refused: {error}")
 
@@ -227,6 +232,11 @@ class VirtualCellNode(Node):
 
     def _tick(self) -> None:
         """Advance the cell by the time that has passed and publish what it shows."""
+        with self._moving:
+            shown = self._advance()
+        self._publish(shown)
+
+    def _advance(self) -> Messages:
         while self._asked:
             self._cell.change(**self._asked.popleft())
             self._conditions_published = -CONDITION_PERIOD_S
@@ -239,6 +249,9 @@ class VirtualCellNode(Node):
             self.get_logger().warning(
                 "a joint does not follow its command: the drives stopped and hold"
             )
+        return shown
+
+    def _publish(self, shown: Messages) -> None:
         names = list(self._cell.machine.joints)
         for moment, q, speed in zip(shown.time, shown.q, shown.speed, strict=True):
             message = JointState(name=names, position=q.tolist(), velocity=speed.tolist())
@@ -263,6 +276,10 @@ class VirtualCellNode(Node):
             load.inertia.m = self._cell.now.payload
             self._air.publish(air)
             self._load.publish(load)
+
+    def end_work(self) -> None:
+        """Move no more; the node is destroyed next."""
+        self._beat.end()
 
     def destroy_node(self) -> None:
         if self._camera is not None:
