@@ -118,7 +118,7 @@ class _Builder:
         """Evaluate an expression at configurations (K, nq + 12), by default at the samples."""
         f = ca.Function("f", [self._s.configuration], [expression])
         rows = self._samples if x is None else x
-        return np.array([np.array(f(row)) for row in rows]).squeeze(-1)
+        return np.asarray(f(rows.T).full().T)  # one column for each configuration
 
     # ------------------------------------------------------------------ bodies
 
