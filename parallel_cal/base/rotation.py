@@ -98,20 +98,24 @@ def matrix_to_quaternion(R: np.ndarray) -> np.ndarray:
     R = np.asarray(R, dtype=float)
     if R.ndim == 2:
         return _single_quaternion(R)
-    a, b, c, d, e, f, g, h, i = np.moveaxis(R.reshape(*R.shape[:-2], 9), -1, 0)
+    a, b, c, d, e, f, g, h, i = R.reshape(-1, 9).T
     # Every row of 4 q q^T is parallel to q. The row of the largest component has the smallest
     # rounding error (Shepperd).
-    rows = [
-        [1 + a - e - i, b + d, c + g, h - f],
-        [b + d, 1 + e - a - i, f + h, c - g],
-        [c + g, f + h, 1 + i - a - e, d - b],
-        [h - f, c - g, d - b, 1 + (a + e + i)],  # rounds as in _single_quaternion
-    ]
-    products = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-    best = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
-    q = np.take_along_axis(products, best[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., 3:] < 0, -q, q)
+    products = np.empty((4, 4, len(a)))
+    products[0, 0], products[1, 1] = 1 + a - e - i, 1 + e - a - i
+    products[2, 2], products[3, 3] = 1 + i - a - e, 1 + (a + e + i)  # as in _single_quaternion
+    products[0, 1] = products[1, 0] = b + d
+    products[0, 2] = products[2, 0] = c + g
+    products[1, 2] = products[2, 1] = f + h
+    products[0, 3] = products[3, 0] = h - f
+    products[1, 3] = products[3, 1] = c - g
+    products[2, 3] = products[3, 2] = d - b
+    best = products.reshape(16, -1)[::5].argmax(axis=0)
+    q = products[best, :, np.arange(len(best))]
+    x, y, z, w = q.T
+    size = np.sqrt(x * x + y * y + z * z + w * w)
+    q /= np.where(w < 0, -size, size)[:, None]
+    return q.reshape(*R.shape[:-2], 4)
 
 
 def _single_quaternion(R: np.ndarray) -> np.ndarray:
@@ -144,11 +148,12 @@ def turns_from_mean(R: np.ndarray) -> np.ndarray:
 def rotation_vector(R: np.ndarray) -> np.ndarray:
     """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3) in rad."""
     q = matrix_to_quaternion(R)
-    sine = np.linalg.norm(q[..., :3], axis=-1)
+    axis = q[..., :3]
+    sine = np.sqrt(np.einsum("...k,...k->...", axis, axis))
+    turned = sine > 1e-12  # angle / sine tends to 2 as the angle tends to 0
     angle = 2 * np.arctan2(sine, q[..., 3])
-    # angle / sine tends to 2 as the angle tends to 0.
-    scale = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1), 2.0)
-    return scale[..., None] * q[..., :3]
+    scale = np.divide(angle, sine, out=np.full_like(angle, 2.0), where=turned)
+    return np.asarray(scale[..., None] * axis)
 
 
 def rotation_matrix(vector: np.ndarray) -> np.ndarray:

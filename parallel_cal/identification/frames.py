@@ -225,10 +225,28 @@ class PosePairs:
     def _residual(self, frames: Frames) -> Array:
         """(N, 6) in axes of the device: position (m), then orientation times length; zero where not
         measured."""
-        place = self.seen_r @ frames.F.T + frames.f - self.r - self.R @ frames.t
-        turn = rotation_vector(frames.F @ self.seen_R @ (self.R @ frames.T).transpose(0, 2, 1))
-        away = np.hstack([place @ frames.F, self.length * turn @ frames.F])
-        return np.nan_to_num(np.where(self.measured, away, 0.0))
+        r, R, seen_r, seen_R = self._filled
+        away = np.zeros((len(r), 6))
+        away[:, :3] = (seen_r @ frames.F.T + frames.f - r - R @ frames.t) @ frames.F
+        if self._counted[:, 3:].any():
+            turn = rotation_vector(frames.F @ seen_R @ (R @ frames.T).transpose(0, 2, 1))
+            away[:, 3:] = self.length * turn @ frames.F
+        return np.where(self._counted, away, 0.0)
+
+    @cached_property
+    def _filled(self) -> tuple[Array, ...]:
+        """r, R and the seen ones, with zeros in the place of what is not known."""
+        return tuple(map(np.nan_to_num, (self.r, self.R, self.seen_r, self.seen_R)))
+
+    @cached_property
+    def _counted(self) -> Array:
+        """Mask (N, 6) of the measured coordinates of poses that are known."""
+        r, R, seen_r, seen_R = (
+            np.isfinite(one).reshape(len(one), -1).all(axis=1)
+            for one in (self.r, self.R, self.seen_r, self.seen_R)
+        )
+        known = np.repeat(np.column_stack([r & R & seen_r, R & seen_R]), 3, axis=1)
+        return np.asarray(self.measured & known)
 
     def descend(self, frames: Frames, used: Array, free: Array | None = None) -> Frames:
         """Gauss-Newton over the frames, or over those of their 12 coordinates that are `free`;
@@ -261,18 +279,18 @@ class PosePairs:
 
     def _jacobian(self, frames: Frames) -> Array:
         """d residual / d (f, F, t, T): (N, 6, 12)."""
-        J, R = np.zeros((len(self.r), 6, 12)), np.nan_to_num(self.R)
-        J[:, :3, :3] = np.eye(3)
-        x, y, z = (np.nan_to_num(self.r) + R @ frames.t - frames.f).T
-        zero = np.zeros(len(x))
+        r, R = self._filled[:2]
+        J, FR = np.zeros((len(r), 6, 12)), frames.F.T @ R
+        J[:, :3, :3] = frames.F.T
+        x, y, z = (r + R @ frames.t - frames.f).T
         # With v = r + R t - f, the columns of [v]x are those of w -> v x w.
-        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-        J[:, :3, 3:6] = -np.moveaxis(cross, -1, 0)
-        J[:, :3, 6:9] = -R
-        J[:, 3:, 3:6] = self.length * np.eye(3)
-        J[:, 3:, 9:] = -self.length * R
-        J = np.concatenate([frames.F.T @ J[:, :3], frames.F.T @ J[:, 3:]], axis=1)
-        return np.asarray(J * self.measured[:, :, None] * self._free)
+        cross = np.zeros((len(r), 3, 3))
+        cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = z, -y, x
+        J[:, :3, 3:6] = frames.F.T @ (cross - cross.transpose(0, 2, 1))
+        J[:, :3, 6:9] = -FR
+        J[:, 3:, 3:6] = self.length * frames.F.T
+        J[:, 3:, 9:] = -self.length * FR
+        return np.asarray(J * (self.measured[:, :, None] * self._free))
 
     def _starts(self) -> list[Frames]:
         """Starts of the descent: the frames of the model; frames from positions, with the target of
