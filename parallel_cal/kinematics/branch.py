@@ -17,13 +17,18 @@ MIN_STEP_FRACTION = 2.0**-12  # of a path; below it the branch has ended
 FIRST_SHARE = 1e-3  # of a path, that shows its first direction
 MAX_BEND = 0.5  # change of the rate of motion from one step to the next, of this rate
 PATH_GROWTH = 1.5  # of a step that stayed on the branch
-MAX_PATH_STEPS = 100  # as many as a descent may take; most paths need fewer than 30
+MAX_PATH_STEPS = 100  # as many as a descent may take
+MOST_PATHS_STEPS = 30  # most paths need fewer
 SAME_SOLUTION = 1e-5  # m, rad: two ends of a path that differ by less are one solution
 MAX_JOINED_GAP_M = 1e-3  # of a closure; with levers of 100 m, a smaller one may be SAME_SOLUTION
 
 
 def follow_from_home(
-    problem: Problem, to: np.ndarray, rows: np.ndarray, judge: Problem | None = None
+    problem: Problem,
+    to: np.ndarray,
+    rows: np.ndarray,
+    judge: Problem | None = None,
+    max_steps: int = MAX_PATH_STEPS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move what `problem` is given in straight lines from home to `to` (N, nq + 12 + nu), and
     follow its solutions, of all samples at once.
@@ -38,7 +43,7 @@ def follow_from_home(
     here, alive = problem.settle(np.tile(problem.home, (len(to), 1)), rows)
     t, step = np.zeros(len(to)), np.ones(len(to))
     rate = _first_rates(problem, line, here, rows)
-    for _ in range(MAX_PATH_STEPS):
+    for _ in range(max_steps):
         some = np.flatnonzero(alive & (t < 1) & (step >= MIN_STEP_FRACTION))
         if not len(some):
             break

@@ -9,6 +9,8 @@ import numpy as np
 
 from parallel_cal.kinematics.branch import (
     MAX_JOINED_GAP_M,
+    MAX_PATH_STEPS,
+    MOST_PATHS_STEPS,
     follow_from_home,
     is_same_solution,
 )
@@ -51,7 +53,10 @@ class Samples:
         if not len(which):
             return
         problem = self.problem
-        followed, ends = follow_from_home(problem, self.given[which], self.rows[which])
+        steps = MOST_PATHS_STEPS if quick else MAX_PATH_STEPS
+        followed, ends = follow_from_home(
+            problem, self.given[which], self.rows[which], max_steps=steps
+        )
         for i, reached, end in zip(which, followed, ends, strict=True):
             row, x = self.rows[i], self.x[i].copy()
             if reached:
