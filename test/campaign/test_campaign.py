@@ -311,7 +311,7 @@ def test_a_person_is_asked_for_the_load_that_the_robot_cannot_put_on_itself(tmp_
     assert one.judgements[-1].effects == ("joint_compliance",)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_load_and_warmth_are_looked_at_one_at_a_time_by_the_same_eight_poses(tmp_path):
     """What a load does goes when it is taken off again: no bump of the device does."""
     cell = SimulatedCell("delta", 701, ["soft_frame"])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import as_slow
 from scipy.optimize import minimize
 from typer.testing import CliRunner
 
@@ -241,7 +242,7 @@ def test_a_joint_whose_number_differs_is_found_in_a_model_that_has_the_effect(
     assert pc.diagnose(better, data, joint_sigma=1.2e-4).effects == ()
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_screw_that_differs_is_found_in_a_model_that_has_the_effect():
     model, data = with_screws(LEADS)
     has = add(model, "screw_pitch_error:lead=5.1e-3", data, force=True).model
@@ -268,7 +269,9 @@ def test_an_effect_that_the_model_has_takes_only_the_number_of_a_joint():
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("numbers", [{"ratio": 23.0}, {"ratio": 23.0, "joint2.ratio": 34.0}])
+@pytest.mark.parametrize(
+    "numbers", [as_slow({"ratio": 23.0}), {"ratio": 23.0, "joint2.ratio": 34.0}]
+)
 def test_several_joints_whose_numbers_differ_in_a_model_are_found_one_after_the_other(numbers):
     """It failed where two joints were likely; a stated number of a joint that is wrong was not
     doubted."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import as_slow
 
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.loading import load_dataset
@@ -32,7 +33,7 @@ def knocked(bag, sizes):
     [
         ("delta_backlash", {17: 2e-3}, [], ["diagnose", "add", "diagnose", "report"]),
         ("delta_clean", {7: 2e-3, 20: 3e-4}, [], ["diagnose", "fit", "diagnose", "report"]),
-        ("delta_backlash", {}, ["exclude=7,9"], ["diagnose", "add", "diagnose", "report"]),
+        as_slow(("delta_backlash", {}, ["exclude=7,9"], ["diagnose", "add", "diagnose", "report"])),
     ],
 )
 def test_the_proposed_commands_end_and_each_continues_with_the_model_of_the_last_one(

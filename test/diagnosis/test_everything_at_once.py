@@ -82,7 +82,7 @@ def linear_delta(tmp_path):
     return session, model, data
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_frames_do_not_imitate_what_usual_sizes_leave_of_a_large_effect(linear_delta):
     """Held to its usual size, a drive that goes 3 % wrong left the rest to the target, which then
     stood 75 mm off: chi2/dof was 1.92."""
@@ -108,7 +108,7 @@ def test_a_device_stands_where_it_does_with_the_first_cause(linear_delta):
     assert found.explanation.first == ("encoder_gain",)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_what_is_found_from_the_drawing_is_added_where_the_device_stands_with_it(tmp_path):
     """`add` kept the frame that the lack of the gain had moved, and refused what it had proposed:
     a foot of the foreign hexapod was 11 tolerances off."""

@@ -337,7 +337,7 @@ def before_hexapod(device=None, seed=1, leg_error=None):
     )
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_leg_that_is_softer_towards_one_side_does_not_teach_the_model_a_field_of_the_device():
     """No effect of the catalogue describes it; a bent field follows it best."""
 

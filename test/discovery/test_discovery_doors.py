@@ -192,7 +192,7 @@ def test_the_page_finds_a_law_under_an_unexplained_verdict_and_adds_it(fitted, t
             served.end()
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_the_page_does_not_offer_a_search_where_an_effect_explains_the_error(tmp_path):
     from parallel_cal.workbench.bench import Bench
 

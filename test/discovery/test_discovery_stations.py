@@ -59,7 +59,7 @@ def test_an_error_that_stays_in_the_base_is_the_robots():
         assert abs(value - share * SIZE / 0.06**2) < 4 * sigma
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_an_error_that_goes_with_the_device_is_the_devices():
     found = discover_on_delta(record([Bent()], [Turned(), Bent()]))
     (law,) = found.laws

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from marks import as_slow
 from virtual_lines import Creep, LinedRobot, Pulleys, Tension, balanced_length, taut_length
 
 from parallel_cal.base.errors import ModelError
@@ -296,7 +297,7 @@ def test_a_file_without_the_sense_of_pulleys_comes_from_the_stated_side():
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("sense", [as_slow(1.0), -1.0])
 def test_hidden_pulleys_of_a_crane_are_named_with_their_side_not_as_offset_joints(sense):
     q, r, R = sail(sense, n=60)
     noise = Noise(joint=0.16e-3, position=0.4e-3, orientation=0.8e-3)

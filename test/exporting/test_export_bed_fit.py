@@ -114,7 +114,7 @@ def largest_shape(moves, xy):
     return np.linalg.norm(rest.reshape(-1, 2), axis=1).max()
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, OTHERS[0]])
 def test_a_probe_beside_the_nozzle_leaves_no_more_than_the_noise_at_its_touches(tmp_path, seed):
     """How bed and effector tilt is for no firmware, and hardly seen in touches: 30 to 65 um."""

@@ -121,7 +121,7 @@ def test_a_camera_takes_the_place_of_a_configurations_probe(tmp_path, capsys):
         assert ("the probe's noise is not stated" in said.out) == ("probe" in names)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "seed", "noise"),
     [

@@ -274,7 +274,7 @@ def test_a_killed_worker_costs_no_row(tmp_path):
     assert [row["reason"] for row in found.rows] == [""] * 4
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_killed_scheduler_costs_no_row_that_was_done(tmp_path):
     fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 2, n_poses=24, n_replicates=4)
     with cluster(tmp_path, 1) as first:

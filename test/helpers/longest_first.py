@@ -11,7 +11,7 @@ from collections import Counter
 WIDE_S, QUICK_S = 0.8, 0.1
 LONG_FILES_S = {
     "test_docs.py": 80,
-    "test_crane.py": 75,
+    "test_crane.py": 45,
     "test_diagnosis.py": 62,
     "test_camera.py": 60,
     "test_discovery.py": 55,

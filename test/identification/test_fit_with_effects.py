@@ -122,7 +122,7 @@ def test_an_unknown_effect_one_that_the_model_has_and_an_unstated_ratio_are_refu
     assert stated.model.value("gear_transmission_error.ratio") == 80
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_setting_far_outside_its_usual_range_is_named_with_its_unit(with_backlash):
     model, effect = new_model("delta54"), "gear_transmission_error:ratio=5000"
     words = "gear_transmission_error.ratio is 5000, but usually 0.001 to 250: settings of effects"

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import as_slow
 from scipy.optimize import least_squares
 
 from parallel_cal.base.errors import ModelError, SolveError
@@ -186,7 +187,7 @@ def test_the_lengths_of_the_legs_calibrate_the_robot_without_a_device(legs, shar
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("legs", [7, 8])
+@pytest.mark.parametrize("legs", [7, as_slow(8)])
 def test_errors_of_the_points_are_as_large_as_stated_over_20_draws(legs):
     z = np.concatenate([z_scores(legs, seed) for seed in range(20)])
     assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15

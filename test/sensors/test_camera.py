@@ -257,7 +257,7 @@ def test_a_stated_lens_replaces_the_search_and_its_sigma_is_the_tolerance():
     assert own < other
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_a_board_may_sit_anywhere_on_a_platform_that_hardly_turns():
     """Nobody states where. If a fit takes the board to be at {P}, the error here is 2.8 times."""
     near, far = Cell("delta", 2), Cell("delta", 2, board_at=(0.03, -0.02, -0.08))
@@ -303,7 +303,7 @@ def test_a_stated_position_of_the_board_is_where_the_fit_begins():
     assert found.model.sensors[0].position == pytest.approx(cell.camera().pose[:3, 3], abs=0.03)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_two_cameras_are_identified_together():
     one = Cell("stewart", 1)
     other = Cell("stewart", 1, name="camera2", lens=vc.Lens(900.0, 905.0, 630.0, 520.0))
