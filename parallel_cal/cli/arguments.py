@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import Field, fields
+from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
 
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.identification.options import FitOptions
 
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="model file")]
@@ -138,6 +140,35 @@ FittingByMethod = Annotated[FitOptions, ("method", *FIT, "update")]
 def patterns(given: list[str] | None) -> tuple[str, ...]:
     """Split `--fix 'chain1.* chain2.Lb'` at spaces and commas."""
     return tuple(word for text in given or [] for word in text.replace(",", " ").split())
+
+
+def keeping_inputs(command: Callable[..., None]) -> Callable[..., None]:
+    """Let a command refuse to write its output over a file that it reads. A model may take the
+    place of the one that it began with.
+
+    What is read is measured, or written by hand: nothing else has it.
+    """
+    shown = signature(command, eval_str=True)
+    output = shown.parameters.get("output")
+    if output is None:
+        return command
+    replaced = {"output", "model"} if output.annotation == OptionalOut else {"output"}
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        target = given.get("output")
+        read = [one for name, one in given.items() if name not in replaced]
+        files = [one for each in read for one in (each if isinstance(each, list) else [each])]
+        there = [one for one in files if isinstance(one, Path) and one.exists()]
+        if target and target.is_file() and any(target.samefile(one) for one in there):
+            raise ParallelCalError(
+                f"{target}: this command reads this file, and -o would write over it: give another "
+                "name (nothing was written)"
+            )
+        command(**given)
+
+    run.__signature__ = shown  # type: ignore[attr-defined]
+    return run
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

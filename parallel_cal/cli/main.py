@@ -11,6 +11,7 @@ import typer
 
 from parallel_cal import __version__
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.cli.arguments import keeping_inputs
 from parallel_cal.reporting import console
 
 # The module of each command, and its function if that has another name.
@@ -93,7 +94,7 @@ def application(words: Sequence[str]) -> typer.Typer:
         if isinstance(found, typer.Typer):
             app.add_typer(found, name=name)
         else:
-            app.command(name, hidden=name in OTHER_NAMES)(found)
+            app.command(name, hidden=name in OTHER_NAMES)(keeping_inputs(found))
     return app
 
 

@@ -27,7 +27,7 @@ from parallel_cal.kinematics.answers import (
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.kinematics.solutions import replace_rows
 from parallel_cal.kinematics.solving import Conditions, direct, inverse
-from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.effect import CONDITIONS, list_substitutes
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.columns import si_unit
@@ -122,6 +122,21 @@ class _SiTable:
             yield f"{bad}. A row without a number has no solution"
 
 
+def _list_unstated(model: Model, conditions: Conditions) -> Iterator[str]:
+    """Yield which conditions the model depends on, and nobody stated: without them, it is no better
+    than without their effects."""
+    names = [
+        name
+        for name in model.conditions
+        if name not in conditions and not conditions.keys() & {*list_substitutes(name)}
+    ]
+    if names:
+        yield (
+            f"effects of the model depend on {', '.join(names)}, of which neither a column nor "
+            "--at has values: these effects count as zero"
+        )
+
+
 def _read_word(
     table: Table, word: str, model: Model, units: Mapping[str, str], meant: Mapping[str, str]
 ) -> tuple[str, float, float]:
@@ -186,7 +201,7 @@ def direct_table(
     explained = explained_residuals(model, found, conditions)
     more = {} if explained is None else {"explained_residual": explained}
     text = _text(table.table, names, values, found, POSE, known, more)
-    warnings = tuple(table.list_warnings(model, model.joints))
+    warnings = (*table.list_warnings(model, model.joints), *_list_unstated(model, conditions))
     return Answer(text, found, known, conditions, explained, warnings=warnings)
 
 
@@ -232,7 +247,8 @@ def inverse_table(
     differences = Differences.of(found, asked[:, :3] if has_places else None, R)
     more = {f"{kind}_difference": size for kind, size in differences.uncontrolled(m).items()}
     text = _text(table.table, model.joints, found.joints, found, model.joints, known, more)
-    warnings = tuple(table.list_warnings(model, (*wanted, *optional)))
+    read = (*wanted, *optional)
+    warnings = (*table.list_warnings(model, read), *_list_unstated(model, conditions))
     return Answer(text, found, known, conditions, differences=differences, warnings=warnings)
 
 

@@ -266,7 +266,9 @@ def _find_risen_parts(
         seen = known & np.isfinite(was + now)
         change = np.bincount(blocks(new.dataset)[seen], (now - was)[seen])
         ratio = float(np.sqrt(now[seen].sum() / was[seen].sum()))
-        exceeds_noise = float(np.mean((now - was)[seen])) > NOISE_OF_THREE_AXES
+        # Noise is no larger than the error before, whatever is stated: a unit may be wrong.
+        noise = min(NOISE_OF_THREE_AXES, float(np.mean(was[seen])))
+        exceeds_noise = float(np.mean((now - was)[seen])) > noise
         clearly = exceeds_noise and change.mean() > change.std() / np.sqrt(len(change))
         if ratio >= 1 + (rise or MAX_NEGLIGIBLE_ERROR_RISE) and (rise or clearly):
             found[kind] = ratio

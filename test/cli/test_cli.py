@@ -734,6 +734,47 @@ def test_columns_of_a_table_that_change_nothing_are_named(run, tmp_path):
         assert "warning: no effect of the model depends on temperature, direction\n" in err
 
 
+def test_what_effects_depend_on_and_nobody_stated_is_named(run, tmp_path):
+    """Without the temperature, a model with thermal growth was used as one without, unseen."""
+    model = read_model(DELTA24).with_effect("backlash").with_effect("thermal_expansion")
+    write_model(model, tmp_path / "m.yaml")
+    head, row = "joint1,joint2,joint3,temperature", "0.1,0.2,0.3,25"
+    (tmp_path / "t.csv").write_text(f"{head}\n{row}\n")
+    given = ("direct", tmp_path / "m.yaml", "--input", tmp_path / "t.csv")
+    *two, said = run(*given, "--at", "direction.joint1=1")
+    assert two[0] == 0
+    assert (
+        "effects of the model depend on direction.joint2, direction.joint3, of which neither a "
+        "column nor --at has values: these effects count as zero"
+    ) in " ".join(said.split())
+    directions = [f"direction.joint{k}=1" for k in (1, 2, 3)]
+    assert "depend on" not in run(*given, "--at", *directions)[2]
+
+
+def test_no_output_takes_the_place_of_what_the_command_reads(run, tmp_path):
+    """A recording became a model, and a table or its column map became samples."""
+    copy = {}
+    for name, text in (
+        ("t.csv", "q1,q2,q3,x,y,z\n" + "0.1,0.2,0.3,0,0,0.2\n" * 3),
+        ("map.yaml", "joints: {joint1: q1, joint2: q2, joint3: q3}\nposition: [x, y, z]\n"),
+        ("q.csv", "joint1,joint2,joint3\n.5,.5,.5\n"),
+        ("m.yaml", Path(DELTA24).read_text()),
+    ):
+        copy[tmp_path / name] = text
+        (tmp_path / name).write_text(text)
+    table, columns, q, model = copy
+    (tmp_path / "link.csv").symlink_to(table)
+    for words in (
+        ("import-csv", table, "--columns", columns, "-o", tmp_path / "link.csv"),
+        ("import-csv", table, "--columns", columns, "-o", columns),
+        ("direct", model, "--input", q, "--output", q),
+        ("direct", model, "--input", q, "--output", model),
+        ("fit", model, q, "-o", q),
+    ):
+        fails(run(*words), str(words[-1]), "this command reads this file", "give another name")
+    assert all(file.read_text() == text for file, text in copy.items())
+
+
 def test_a_table_of_measurements_is_solved_without_changes(run, document, tmp_path):
     """`direct` and `inverse` refused the table that `fit` takes: names, units, measured poses."""
     table, solved = tmp_path / "t.csv", tmp_path / "s.csv"
