@@ -217,7 +217,8 @@ def observe(
     if doubts and not insist:
         raise FitError(doubts)
     reading_sigma = np.broadcast_to(model.structure.standard_uncertainty, reading.shape).copy()
-    scattered = np.repeat([joint_from == SCATTER, pose_from == SCATTER], [n, 6])
+    scatter = [joint_from == SCATTER, pose_from == SCATTER, False]
+    scattered = np.repeat(scatter, [n, 6, len(model.mechanism.passive)])
     unknown = _list_unknown_noise(model, guessed, guessed_channels, scattered)
     return Observations(
         x, S, measured, a, group, reading, noise_from, doubts, reading_sigma, unknown
@@ -235,7 +236,7 @@ def _find_passive(model: Model, q: np.ndarray, a: np.ndarray) -> np.ndarray:
 
 
 def list_noise_kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:
-    """Name, unit and columns (nq+6,) of every kind of noise of joints and device."""
+    """Name, unit and columns (nq+6+nu,) of every kind of noise of joints and device."""
     n = len(model.joints)
     passive = [""] * len(model.mechanism.passive)
     units = np.array(
@@ -251,8 +252,8 @@ def list_noise_kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:
 def _list_unknown_noise(
     model: Model, guessed: np.ndarray, guessed_channels: np.ndarray, scattered: np.ndarray
 ) -> tuple[UnknownNoise, ...]:
-    """List the kinds of noise that the entries (N, nq+6) and channels (N, n_channels) guess; the
-    guess of the columns `scattered` (nq+6,) is their scatter within dwells."""
+    """List the kinds of noise that the entries (N, nq+6+nu) and channels (N, n_channels) guess; the
+    guess of the columns `scattered` (nq+6+nu,) is their scatter within dwells."""
     none, nowhere = np.zeros_like(guessed_channels), np.zeros_like(guessed)
     found = list[UnknownNoise]()
     for name, unit, own in list_noise_kinds(model):

@@ -426,9 +426,15 @@ def test_a_mechanism_of_ones_own_with_passive_coordinates_is_solved_and_fitted()
     back = pc.Kinematics(model).inverse(at.position)
     assert back.joints == pytest.approx(at.joints, abs=1e-12)
     true = model.with_values(model.values + [1e-4, -2e-4, 3e-4, 1e-4])
-    found = pc.fit(model, pc.simulate(true, 30, seed=1).dataset())
+    data = pc.simulate(true, 30, seed=1).dataset()
+    found = pc.fit(model, data)
     assert found.model.values == pytest.approx(true.values, abs=3e-6)
     assert found.estimate.chi2_per_dof == pytest.approx(1, abs=0.4)
+    # A table without a map does not state the noise.
+    bare = pc.Dataset.from_arrays(data.joint_names, data.q, data.r)
+    unstated = pc.fit(replace(model, noise=pc.Noise()), bare)
+    assert unstated.observations.noise_assumed
+    assert unstated.model.values == pytest.approx(true.values, abs=3e-6)
 
 
 def test_a_home_without_passive_coordinates_is_refused():
