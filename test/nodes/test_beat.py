@@ -9,22 +9,13 @@ pytestmark = pytest.mark.ros
 rclpy = pytest.importorskip("rclpy")
 
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from test_pump import CountingExecutor  # noqa: E402
 from waits import wait_until  # noqa: E402
 
 from parallel_cal.nodes.beat import Beat  # noqa: E402
 from parallel_cal.nodes.client import use_private_domain  # noqa: E402
 
 NODES = count()
-
-
-class CountingExecutor(SingleThreadedExecutor):
-    """Counts how often it looked at a timer: once for each wait set it built."""
-
-    looks = 0
-
-    def can_execute(self, entity):
-        self.looks += isinstance(entity, rclpy.timer.Timer)
-        return super().can_execute(entity)
 
 
 @pytest.fixture
