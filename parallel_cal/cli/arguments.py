@@ -160,9 +160,10 @@ def keeping_inputs(command: Callable[..., None]) -> Callable[..., None]:
         read = [one for name, one in given.items() if name not in replaced]
         files = [one for each in read for one in (each if isinstance(each, list) else [each])]
         there = [one for one in files if isinstance(one, Path) and one.exists()]
-        if target and target.is_file() and any(target.samefile(one) for one in there):
+        file = target if isinstance(target, Path) and target.is_file() else None
+        if file is not None and any(file.samefile(one) for one in there):
             raise ParallelCalError(
-                f"{target}: this command reads this file, and -o would write over it: give another "
+                f"{file}: this command reads this file, and -o would write over it: give another "
                 "name (nothing was written)"
             )
         command(**given)

@@ -110,8 +110,8 @@ MUTANTS = (
     ),
     Mutant(
         "base/rotation.py",
-        "    return np.where(q[..., 3:] < 0, -q, q)\n",
-        "    return q\n",
+        "    q /= np.where(w < 0, -size, size)[:, None]\n",
+        "    q /= size[:, None]\n",
         "quaternions of many matrices may have w < 0",
         "test_rotation.py",
     ),
