@@ -6,10 +6,10 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, Changes, Setting, a
 from parallel_cal.nodes.rendering import BOARD, SQUARE_M
 from parallel_cal.nodes.run import run
 from parallel_cal.virtual.board_camera import usual_camera
-from parallel_cal.virtual.cell import Box, Cell, Messages
+from parallel_cal.virtual.cell import Box, Cell
 from parallel_cal.virtual.kinds import words_of
 from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.tracker import Tracker
@@ -113,7 +113,7 @@ class VirtualCellNode(Node):
         declare(self, PARAMETERS, self._on_parameters)
         self._cell = self._build()
         self._write_nominal()
-        self._asked: deque[dict[str, Any]] = deque()
+        self._asked: deque[Callable[[], None]] = deque()  # of the cell, by other threads
         own, factor = self._cell.machine.noise, self._value("noise")
         position = (
             (factor * own.position) ** 2
@@ -136,7 +136,6 @@ class VirtualCellNode(Node):
             self._poses = self.create_publisher(PoseWithCovarianceStamped, "measured_pose", many)
         self._air = self.create_publisher(Temperature, "temperature", many)
         self._load = self.create_publisher(InertiaStamped, "payload", LATCHED)
-        self._moving = Lock()  # held by who changes the cell
         self.create_subscription(
             JointTrajectory, "joint_trajectory", self._on_trajectory, 10, callback_group=group
         )
@@ -210,21 +209,28 @@ class VirtualCellNode(Node):
             write_model(model, path)
 
     def _on_parameters(self, changes: Changes) -> SetParametersResult:
-        """Queue changed parameters for the next tick: this may be another thread."""
+        """Queue changed parameters for the next tick."""
         try:
-            self._asked.append(self._circumstances({c.name: c.value for c in changes}))
+            changed = self._circumstances({c.name: c.value for c in changes})
+            self._asked.append(partial(self._change, changed))
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return ACCEPTED
 
+    def _change(self, circumstances: dict[str, Any]) -> None:
+        self._cell.change(**circumstances)
+        self._conditions_published = -CONDITION_PERIOD_S
+
     # ------------------------------------------------------------------ commands
 
     def _on_trajectory(self, trajectory: JointTrajectory) -> None:
+        """Queue a trajectory for the next tick; until then no time passes in the cell."""
+        self._asked.append(partial(self._follow, trajectory))
+
+    def _follow(self, trajectory: JointTrajectory) -> None:
         """Follow a trajectory at once, as joint_trajectory_controller does."""
         try:
-            points = _read_points(trajectory, self._cell.machine.joints)
-            with self._moving:
-                self._cell.follow(*points)
+            self._cell.follow(*_read_points(trajectory, self._cell.machine.joints))
         except SolveError as error:
             self.get_logger().error(f"trajectory refused: {error}")
 
@@ -232,14 +238,8 @@ class VirtualCellNode(Node):
 
     def _tick(self) -> None:
         """Advance the cell by the time that has passed and publish what it shows."""
-        with self._moving:
-            shown = self._advance()
-        self._publish(shown)
-
-    def _advance(self) -> Messages:
         while self._asked:
-            self._cell.change(**self._asked.popleft())
-            self._conditions_published = -CONDITION_PERIOD_S
+            self._asked.popleft()()
         now = time.monotonic()
         passed = self._value("rate") * min(now - self._last_tick, MAX_TICK_S)
         self._last_tick = now
@@ -249,9 +249,6 @@ class VirtualCellNode(Node):
             self.get_logger().warning(
                 "a joint does not follow its command: the drives stopped and hold"
             )
-        return shown
-
-    def _publish(self, shown: Messages) -> None:
         names = list(self._cell.machine.joints)
         for moment, q, speed in zip(shown.time, shown.q, shown.speed, strict=True):
             message = JointState(name=names, position=q.tolist(), velocity=speed.tolist())
