@@ -128,7 +128,7 @@ def _list_unstated(model: Model, conditions: Conditions) -> Iterator[str]:
     names = [
         name
         for name in model.conditions
-        if name not in conditions and not conditions.keys() & {*list_substitutes(name)}
+        if conditions.keys().isdisjoint((name, *list_substitutes(name)))
     ]
     if names:
         yield (
